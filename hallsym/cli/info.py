@@ -27,7 +27,7 @@ from hallsym.estimation.calibration import load_fit
 from hallsym.families import build, effects, family_called, models, recording
 from hallsym.files import atomic_write
 from hallsym.log import Log, Meta, check_log, estimate_noise, open_source, spans
-from hallsym.log.columns import is_moving
+from hallsym.log.columns import is_moving, split_header
 from hallsym.log.formats import FORMATS, Opened
 from hallsym.log.table import Source
 from hallsym.output import PROSE, fitted
@@ -150,7 +150,8 @@ def _head(source: Source) -> list[Block | str]:
     """The recognised form of a file, and its first rows under its own names, as many as fit."""
     rows = source.head(SHOWN_ROWS, SHOWN_COLUMNS)
     names = source.names[:SHOWN_COLUMNS]
-    units = [f" [{source.units[name]}]" if name in source.units else "" for name in names]
+    named = [name in source.units and not split_header(name)[1] for name in names]
+    units = [f" [{source.units[name]}]" if open else "" for name, open in zip(names, named, strict=True)]
     columns = [
         [name + unit, *(row[k] for row in rows if k < len(row))]
         for k, (name, unit) in enumerate(zip(names, units, strict=True))

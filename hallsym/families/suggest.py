@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import string
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 
@@ -78,50 +78,62 @@ def _apart(word: str) -> tuple[str, ...]:
     return (word,)
 
 
-def series_of(names: Iterable[str]) -> dict[str, int]:
-    """Return names that differ in a number alone, with their place among these, where there is one such set.
+_KINDS = frozenset({REF, READING, "col"})
+"""Words of names that say what numbered columns are."""
 
-    >>> series_of(["S1", "S2", "S3", "t", "x_ref"])
-    {'S1': 0, 'S2': 1, 'S3': 2}
+
+def series_of(names: Iterable[str]) -> list[dict[str, int]]:
+    """Return the sets of names that differ in a number alone, with the place of each name in its set.
+
+    A name without the number is the first of them, as pandas numbers columns of one name. Numbers are missing
+    only where a word says that they are readings or references.
+
+    >>> series_of(["S1", "S2", "S3", "t", "x_ref", "Hall", "Hall.1"])
+    [{'S1': 0, 'S2': 1, 'S3': 2}, {'Hall': 0, 'Hall.1': 1}]
     """
     found: dict[str, dict[int, str]] = {}
     for name in names:
         numbers = re.findall(r"\d+", name)
         words = words_of(name, unit=True) - set(numbers)
-        if len(numbers) == 1 and not words & (set(_WORDS.values()) - {READING, "col"}):
-            found.setdefault(re.sub(r"\d+", "#", name), {})[int(numbers[0])] = name
-    several = [each for each in found.values() if 1 < len(each) == max(each) - min(each) + 1]
-    if len(several) != 1:
-        return {}
-    return {several[0][number]: place for place, number in enumerate(sorted(several[0]))}
+        if len(numbers) <= 1 and not words & (set(_WORDS.values()) - _KINDS):
+            stem = re.sub(r"\W*\d+", "", name)
+            found.setdefault(stem, {}).setdefault(int(numbers[0]) if numbers else 0, name)
+    several = [
+        each for stem, each in found.items()
+        if 1 < len(each) == max(each) - min(each) + 1 or (len(each) > 1 and words_of(stem) & _KINDS)
+    ]  # fmt: skip
+    return [{each[number]: place for place, number in enumerate(sorted(each))} for each in several]
 
 
-def likeness(ours: str, theirs: str, numbers: tuple[int, ...] = ()) -> float:
-    """Return how well a name fits one of our stems, in [0, 1]; 0 where it does not.
+def _places(names: Iterable[str], model: Model) -> dict[str, str]:
+    """Return the stems of numbered names of a file: a set is as large as one of channels, references, state.
 
-    `numbers`: those that the file's names of this kind have, from which a letter is told.
+    A set whose words say that it is references, or readings, is no other. Of sine and cosine the first is not
+    known.
     """
+    stems = [[split_unit(c)[0] for c in of] for of in (model.channels, model.references, _measured(model))]
+    alike = len({re.sub(r"(?<![a-z])[a-z]$|\d+", "", stem) for stem in stems[0]}) == 1
+    free, found = {k: own for k, own in enumerate(stems) if k or alike}, dict[str, str]()
+    sets = series_of(names)
+    words = [frozenset().union(*map(words_of, each)) & _KINDS for each in sets]
+    for each, own in sorted(zip(sets, words, strict=True), key=lambda pair: not pair[1]):
+        wanted = [1] if REF in own else [0] if own else [*free]
+        place = next((k for k in wanted if len(free.get(k, ())) == len(each)), None)
+        if place is not None:
+            found |= {name: free[place][k] for name, k in each.items()}
+            del free[place]
+    return found
+
+
+def likeness(ours: str, theirs: str) -> float:
+    """Return how well a name fits one of our stems, in [0, 1]; 0 where it does not."""
     wanted, found = words_of(ours), words_of(theirs, unit=True)
     if wanted == found:
         return FULL
     if wanted < found:
         return MORE - _FURTHER * len(found - wanted)
-    letters = [w for w in wanted if len(w) == 1 and w.isalpha()]
-    digits = [w for w in found if w.isdigit()]
-    if READING in wanted and letters and digits and numbers:
-        place = sorted(numbers).index(int(digits[0])) if int(digits[0]) in numbers else -1
-        named = any(len(w) == 1 and w.isalpha() for w in found)
-        fits = string.ascii_lowercase[place] == letters[0] and wanted - set(letters) <= found - set(digits)
-        if fits and not named:
-            return NUMBERED
     recognised = ({REF}, {ANGLE})  # by the other columns, by the unit
     return BARE if found and any(word <= wanted and wanted - word == found for word in recognised) else 0.0
-
-
-def numbers_of(names: tuple[str, ...]) -> tuple[int, ...]:
-    """Return the numbers in names of readings: of Hall1, Hall2, Hall3 they are 1, 2, 3."""
-    found = [words_of(name, unit=True) for name in names]
-    return tuple(sorted({int(w) for words in found if READING in words for w in words if w.isdigit()}))
 
 
 ROWS = 50_000
@@ -267,7 +279,8 @@ def suggest(source: Source, model: str | None = None, meta: Meta | None = None) 
         raise InputError("No column of the file holds numbers; nothing can be suggested.")
     forms = _models(source, data, model, meta or Meta())
     tried = [(form, _guesses(source, data, form)) for form in forms]
-    chosen, guesses = max(tried, key=lambda one: _covered(*one))  # the first by name where all do the same
+    moving = {name for name, values in data.items() if np.ptp(values[np.isfinite(values)]) > 0}
+    chosen, guesses = max(tried, key=lambda one: _covered(*one, moving))  # the first by name of equal ones
     order = {stem: k for k, stem in enumerate((RUN, TIME, *_stems(chosen), *OTHERS))}
     used = {g.theirs for g in guesses}
     return Suggestion(
@@ -282,7 +295,7 @@ def _guesses(source: Source, data: Mapping[str, Array], model: Model) -> list[Gu
     named = _by_name(source, data, model)
     references = {split_unit(c)[0] for c in model.references}
     named += [g for g in _left(source, data, model, named) if g.stem in references]
-    named = _by_readings(data, model, named)
+    named = _by_readings(source, data, model, named)
     expected = _expected(data, model, named)
     named = [
         _with_unit(source, data[g.theirs], replace(g, why="its name"), model, expected[g.stem])
@@ -328,10 +341,11 @@ def _goes_round(column: str) -> bool:
     return column.endswith("_rad") and limit_of(column) is None
 
 
-def _covered(model: Model, guesses: Sequence[Guess]) -> float:
-    """Return the share of a model's columns that have a guess."""
+def _covered(model: Model, guesses: Sequence[Guess], moving: Collection[str]) -> float:
+    """Return the share of the columns of a model, and of those of a file that move, that go together."""
     stems = _stems(model)
-    return len({g.stem for g in guesses} & set(stems)) / len(stems)
+    rest = set(moving) - {g.theirs for g in guesses}
+    return len({g.stem for g in guesses} & set(stems)) / (len(stems) + len(rest))
 
 
 def _numbers(source: Source) -> dict[str, Array]:
@@ -367,7 +381,7 @@ def _measured(model: Model) -> tuple[str, ...]:
 
 
 def _models(source: Source, data: Mapping[str, Array], name: str | None, meta: Meta) -> list[Model]:
-    """Return the forms of the family whose columns the names of a file fit best, the best first."""
+    """Return the forms of models whose columns a file may have, those that its names fit best first."""
 
     def fits(model: Model) -> tuple[float, int]:
         stems = _stems(model)
@@ -378,25 +392,24 @@ def _models(source: Source, data: Mapping[str, Array], name: str | None, meta: M
     for column in (n for n in source.names if not _own(n) and _stated(source, n)):
         like = "_".join([*re.findall(r"\w+", column.lower()), UNITS[_stated(source, column)].si])
         own += [like] if any(re.fullmatch(family.readings, like) for family in FAMILIES) else []
-    count = len(series_of(data))
+    counts = [len(each) for each in series_of(n for n in data if not _behaves(RUN, data[n]))]
 
     found: list[Model] = []
     for default in [stated] if (stated := name or meta.base_model) else [f.default for f in FAMILIES]:
         with nullcontext() if stated else suppress(InputError):  # a family that fails and nobody asked for
-            found += _forms(default, tuple(own), count, meta)
-    found = sorted(found, key=fits, reverse=True)
-    return [model for model in found if model.family is found[0].family]
+            found += _forms(default, tuple(own), counts, meta)
+    return sorted(found, key=fits, reverse=True)
 
 
-def _forms(name: str, own: tuple[str, ...], count: int, meta: Meta) -> list[Model]:
+def _forms(name: str, own: tuple[str, ...], counts: Sequence[int], meta: Meta) -> list[Model]:
     """Return a model as it is read by its channels, as its pose is read, and as columns of ours say.
 
-    `count`: numbered readings of the file, where the model may have so many.
+    `counts`: numbered columns of the file, where the model may have so many readings.
     """
     usual = build(name)
     found, first = [usual], usual.channels[0]
-    numbered = [re.sub(r"\d+", str(k), first) for k in range(count)] if re.search(r"\d", first) else []
-    for columns in ((*usual.pose, *usual.references), own, *([tuple(numbered)] if numbered else [])):
+    numbered = [tuple(re.sub(r"\d+", str(k), first) for k in range(count)) for count in counts]
+    for columns in ((*usual.pose, *usual.references), own, *(numbered if re.search(r"\d", first) else ())):
         try:
             found.append(build(name, meta=replace(meta, columns=columns)))
         except InputError:
@@ -418,20 +431,17 @@ def _likeliest(pairs: Iterable[tuple[float, str, str]]) -> list[tuple[float, str
 
 def _matched(source: Source, data: Mapping[str, Array], model: Model) -> list[tuple[float, str, str]]:
     """Return how well our stems and the file's names go together (score, stem, name), each once."""
-    numbers, own, stems = numbers_of(source.names), {name: _own(name) for name in data}, _stems(model)
-    series, channels = series_of(data), [split_unit(c)[0] for c in model.channels]
-    if len(series) != len(channels) or len({re.sub(r"(?<![a-z])[a-z]$|\d+", "", c) for c in channels}) > 1:
-        series = {}  # of sine and cosine the first is not known
-    pairs = []
+    own, stems = {name: _own(name) for name in data}, _stems(model)
+    series, pairs = _places((n for n in data if not _behaves(RUN, data[n])), model), []
     for stem in (RUN, TIME, *stems, *OTHERS):
         for name, values in data.items():
             if own[name] not in ("", stem, stem.removesuffix("_ref")):
                 continue  # a name of ours is not another one of ours
             if stem in (RUN, TIME) and not _behaves(stem, values):
                 continue
-            like, fits = likeness(stem, name, numbers), _unit_fits(source, name, stem, model)
-            if name in series and stem in channels:
-                like = NUMBERED if channels[series[name]] == stem else 0.0
+            like, fits = likeness(stem, name), _unit_fits(source, name, stem, model)
+            if name in series and stem in stems and not own[name]:
+                like = NUMBERED if series[name] == stem else 0.0
             if fits or (like > BARE and stem in stems):  # in V or counts it lacks a scale
                 pairs.append((like if fits else like / 2, stem, name))
             by_unit = not words_of(name, unit=True) and _stated(source, name) and stem not in (RUN, TIME)
@@ -604,31 +614,33 @@ def _by_motion(
     return found
 
 
-def _by_readings(data: Mapping[str, Array], model: Model, named: Sequence[Guess]) -> list[Guess]:
-    """Return the guesses with the one unit, or counts per turn, in which the readings follow the reference.
+def _by_readings(
+    source: Source, data: Mapping[str, Array], model: Model, named: Sequence[Guess]
+) -> list[Guess]:
+    """Return the guesses with the one reference, unit or counts per turn that the readings follow.
 
     Only of an angle that goes round: others would be followed in any unit.
     """
-    found = list(named)
-    for k, guess in enumerate(named):
-        angle = f"{guess.stem}_rad"
-        going_round = angle in model.references and _goes_round(angle)
-        if not going_round or not (guess.open or guess.counts_per_turn):
-            continue
+    angle = model.references[0] if len(model.references) == 1 else ""
+    stem, known = split_unit(angle)[0], [g for g in named if f"{g.stem}_rad" != angle]
+    mine = [g for g in named if g not in known]
+    if not angle or not _goes_round(angle) or (mine and not (mine[0].open or mine[0].counts_per_turn)):
+        return list(named)
+    free = [n for n in data if n not in {g.theirs for g in named} and not _own(n) and np.ptp(data[n]) > 0]
+    free = [n for n in free if _unit_fits(source, n, stem, model) and not _behaves(RUN, data[n])]
+    followed = []
+    for guess in mine or [_with_unit(source, data[n], Guess(stem, n, (), ""), model) for n in free]:
         if guess.counts_per_turn:
             tried = [replace(guess, counts_per_turn=1 << bits) for bits in BITS]
         else:
             tried = [replace(guess, units=(u.name,), raw="") for u in UNITS.values() if u.si == "rad"]
-        readings = [values for name, values in data.items() if name != guess.theirs and np.ptp(values) > 0]
-        others = [g for g in named if g is not guess]
-        followed = [
-            one for one in tried if _follows(_readings(model, _known(data, [*others, one])), readings)
-        ]
-        if len(followed) == 1:
-            found[k] = replace(
-                followed[0], why=f"{guess.why.partition(';')[0]}; the readings follow it in this unit"
-            )
-    return found
+        others = [x for name, x in data.items() if name != guess.theirs and np.ptp(x) > 0]
+        for one in tried:
+            turned = np.ptp(_si(data[one.theirs], one)) >= np.pi
+            if turned and _follows(_readings(model, _known(data, [*known, one])), others):
+                why = guess.why.partition(";")[0] if mine else "its data"
+                followed.append(replace(one, why=f"{why}; the readings follow it in this unit"))
+    return [*known, *(followed if len(followed) == 1 else mine)]
 
 
 def _follows(expected: Mapping[str, Array], columns: Sequence[Array]) -> bool:

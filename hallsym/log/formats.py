@@ -41,10 +41,10 @@ from hallsym.log.groups import Group, GroupedSource
 from hallsym.log.isolated import Isolated, about
 from hallsym.log.maker_tables import open_table
 from hallsym.log.meta import Meta, Noise, check_noise_keys
+from hallsym.log.parted import by_clock, by_rows, by_signal, side_by_side
 from hallsym.log.quality.check import clean_log
 from hallsym.log.table import Source, Table
 from hallsym.log.text.sniff import stated_delimiter
-from hallsym.log.parted import by_clock, by_rows, by_signal, side_by_side
 from hallsym.units import Array, split_unit
 
 
