@@ -6,7 +6,6 @@ A suggestion is written for a person to confirm; nothing of it is applied.
 from __future__ import annotations
 
 import re
-import string
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
@@ -431,7 +430,8 @@ def _likeliest(pairs: Iterable[tuple[float, str, str]]) -> list[tuple[float, str
 
 def _matched(source: Source, data: Mapping[str, Array], model: Model) -> list[tuple[float, str, str]]:
     """Return how well our stems and the file's names go together (score, stem, name), each once."""
-    own, stems = {name: _own(name) for name in data}, _stems(model)
+    stems = _stems(model)
+    own = {name: o if (o := _own(name)) in (RUN, TIME, *stems, *OTHERS) else "" for name in data}
     series, pairs = _places((n for n in data if not _behaves(RUN, data[n])), model), []
     for stem in (RUN, TIME, *stems, *OTHERS):
         for name, values in data.items():
@@ -636,23 +636,28 @@ def _by_readings(
             tried = [replace(guess, units=(u.name,), raw="") for u in UNITS.values() if u.si == "rad"]
         others = [x for name, x in data.items() if name != guess.theirs and np.ptp(x) > 0]
         for one in tried:
-            turned = np.ptp(_si(data[one.theirs], one)) >= np.pi
-            if turned and _follows(_readings(model, _known(data, [*known, one])), others):
+            if np.ptp(_si(data[one.theirs], one)) >= np.pi:
                 why = guess.why.partition(";")[0] if mine else "its data"
-                followed.append(replace(one, why=f"{why}; the readings follow it in this unit"))
-    return [*known, *(followed if len(followed) == 1 else mine)]
+                said = replace(one, why=f"{why}; the readings follow it in this unit")
+                followed.append((_left_over(_readings(model, _known(data, [*known, one])), others), said))
+    (best, found), *others = sorted([*followed, (1.0, None)], key=lambda one: one[0])
+    sure = best <= 1 - MOVES**2 and (not others or best * NEAR**2 <= others[0][0])
+    return [*known, *([found] if found and sure else mine)]
 
 
-def _follows(expected: Mapping[str, Array], columns: Sequence[Array]) -> bool:
-    """Say whether as many columns as there are readings are combinations of what is expected of these."""
+def _left_over(expected: Mapping[str, Array], columns: Sequence[Array]) -> float:
+    """Return the share of variance that is no combination of what is expected of readings, in [0, 1].
+
+    It is the largest of as many columns as there are readings, those of which least is left.
+    """
     rows = np.isfinite(list(expected.values())).all(axis=0)
     basis = np.column_stack([np.ones(rows.sum()), *(e[rows] for e in expected.values())])
-    moved = 0
+    shares = []
     for own in (values[rows] for values in columns):
         if np.isfinite(own).all() and np.ptp(own) > 0:
             left = own - basis @ np.linalg.lstsq(basis, own, rcond=None)[0]
-            moved += bool(np.var(left) <= (1 - MOVES**2) * np.var(own))
-    return moved >= len(expected)
+            shares.append(float(np.var(left) / np.var(own)))
+    return sorted(shares)[len(expected) - 1] if len(shares) >= len(expected) else 1.0
 
 
 def _left(source: Source, data: Mapping[str, Array], model: Model, known: Sequence[Guess]) -> list[Guess]:

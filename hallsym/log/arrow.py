@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.log.columns import T, stems_of
+from hallsym.log.columns import TIME_WORDS, T, stems_of
 from hallsym.log.table import Arrays, Source, load
-from hallsym.units import Array
+from hallsym.units import UNITS, Array, split_unit
 
 DAY_S = 86_400.0
 TICK_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -253,7 +253,65 @@ def _columns_of(data: Any, where: str) -> Iterator[tuple[str, Any]]:
         table = arrow.RecordBatchReader.from_stream(data).read_all()
     except (arrow.ArrowException, TypeError, ValueError) as error:
         raise InputError(f"{where} must be a table of columns; it is none ({error}).") from error
-    return zip(distinct(table.column_names, where), table.columns, strict=True)
+    columns = dict(zip(distinct(table.column_names, where), table.columns, strict=True))
+    if not any(arrow.types.is_nested(column.type) for column in columns.values()):
+        return iter(columns.items())
+    one = table.num_rows == 1
+    named = columns.items() if one else _samples(columns, table.num_rows)
+    parts = [part for name, column in named for part in _entries(name, column, one)]
+    rows = max((len(column) for _, column in parts), default=0)
+    return iter([(name, column) for name, column in parts if len(column) == rows])
+
+
+MOST_COLUMNS = 100
+"""Columns that a matrix is taken for at most: a wider one is a picture or a map."""
+
+
+def _lengths(column: Any) -> Array | None:
+    """Return how long the lists of a column are, (rows,); None of a column without lists."""
+    types, kind = load("pyarrow").types, column.type
+    if not (types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind)):
+        return None
+    return array_of(load("pyarrow.compute").fill_null(load("pyarrow.compute").list_value_length(column), 0))
+
+
+def _samples(columns: Mapping[str, Any], rows: int) -> Iterator[tuple[str, Any]]:
+    """Yield columns with a row per sample, where each row holds lists of samples, as those of a run.
+
+    Lists are samples where they are of several lengths, too long for columns, or one of them is the time.
+    """
+    lists = {name: own for name, column in columns.items() if (own := _lengths(column)) is not None}
+    shared = next(iter(lists.values()), np.zeros(rows, int))
+    timed = any(split_unit(name)[0].lower() in TIME_WORDS for name in lists)
+    long = timed or len(set(shared)) > 1 or max(shared, default=0) > MOST_COLUMNS
+    if not long or not all(np.array_equal(own, shared) for own in lists.values()):
+        yield from columns.items()
+        return
+    each = np.repeat(np.arange(rows), shared)
+    for name, column in columns.items():
+        yield name, load("pyarrow.compute").list_flatten(column) if name in lists else column.take(each)
+
+
+def _entries(name: str, column: Any, one: bool) -> Iterator[tuple[str, Any]]:
+    """Yield the columns that a column of records or lists holds, by name; of one record by their own.
+
+    A unit behind its name is that of its columns: {"hall_um": {"a": 1.5}} is `hall_a_um`, {"hall_um": [1.5]}
+    is `hall_0_um`.
+    """
+    compute, lengths = load("pyarrow.compute"), _lengths(column)
+    stem, _, last = name.rpartition("_")
+    stem, unit = (stem, f"_{last}") if stem and last in UNITS else (name, "")
+    if lengths is not None and one:
+        yield from _entries(name, compute.list_flatten(column), one)
+    elif load("pyarrow").types.is_struct(column.type):
+        for k, field in enumerate(column.type):
+            under = field.name if one else f"{stem}_{field.name}{unit}"
+            yield from _entries(under, compute.struct_field(column, k), one)
+    elif lengths is not None and len(set(lengths)) == 1 and 0 < lengths[0] <= MOST_COLUMNS:
+        for k in range(int(lengths[0])):
+            yield from _entries(f"{stem}_{k}{unit}", compute.list_element(column, k), one)
+    else:
+        yield name, column
 
 
 def distinct(names: Sequence[str], where: str) -> Sequence[str]:

@@ -11,9 +11,8 @@ from typing import Any
 from hallsym.errors import InputError, quoted
 from hallsym.log.arrow import Memory, Timed, distinct, is_numeric, is_time, source_of
 from hallsym.log.columns import stems_of
-from hallsym.log.table import CHUNK_ROWS, IN_MEMORY_ROWS, load
-from hallsym.log.vectors import MOST_COLUMNS
-from hallsym.units import UNITS, Array
+from hallsym.log.table import CHUNK_ROWS, IN_MEMORY_ROWS, Source, load
+from hallsym.units import Array
 
 _BUFFER = 1 << 20
 _THREADS = 131_072
@@ -30,7 +29,7 @@ class ParquetSource(Timed):
         self.small = self.rows <= IN_MEMORY_ROWS
         times = {k: "" for k, kind in enumerate(schema.types) if is_time(kind)}
         self.take(stems_of(distinct(schema.names, quoted(path))), times, quoted(path))
-        self._own = dict(zip(self.names, schema, strict=True))
+        self.fields, self._own = list(schema), dict(zip(self.names, schema, strict=True))
 
     def texts(self, name: str) -> list[object]:
         """Return the cells of one column."""
@@ -63,6 +62,14 @@ class ParquetSource(Timed):
             yield file
 
 
+def open_parquet(path: Path) -> Source:
+    """Open a Parquet file; one whose columns hold lists or records is read whole."""
+    source = ParquetSource(path)
+    if not source.small or not any(load("pyarrow").types.is_nested(field.type) for field in source.fields):
+        return source
+    return source_of(load("pyarrow.parquet").read_table(path), quoted(path))
+
+
 def open_feather(path: Path) -> Memory:
     """Open a file or a stream of Arrow (Feather)."""
     arrow = load("pyarrow")
@@ -78,9 +85,7 @@ def open_feather(path: Path) -> Memory:
 def open_json(path: Path) -> Memory:
     """Open lines of JSON objects with the same keys, a list of them, or one object of lists.
 
-    Of an object, or a list, in an object each entry is a column. A unit behind its name is that of its
-    columns: {"hall_um": {"a": 1.5}} is `hall_a_um`, {"hall_um": [1.5]} is `hall_0_um`. What one object holds
-    at any depth are columns, those that are as long as the longest.
+    What one object holds at any depth are columns, those that are as long as the longest.
     """
     arrow = load("pyarrow")
     try:
@@ -88,31 +93,7 @@ def open_json(path: Path) -> Memory:
         table = arrow.Table.from_pylist(whole if isinstance(whole, list) else [whole])
     except json.JSONDecodeError:  # several objects
         table = load("pyarrow.json").read_json(path)
-    one = table.num_rows == 1
-    named = zip(table.column_names, table.columns, strict=True)
-    parts = [part for name, column in named for part in _parts(name, column, one)]
-    rows = max((len(column) for _, column in parts), default=0)
-    parts = [(name, column) for name, column in parts if len(column) == rows]
-    return source_of(arrow.table([c for _, c in parts], [name for name, _ in parts]), quoted(path))
-
-
-def _parts(name: str, column: Any, one: bool) -> Iterator[tuple[str, Any]]:
-    """Yield the columns that a column of objects or lists holds, by name; of one object by their own."""
-    types, compute, kind = load("pyarrow").types, load("pyarrow.compute"), column.type
-    stem, _, last = name.rpartition("_")
-    stem, unit = (stem, f"_{last}") if stem and last in UNITS else (name, "")
-    sizes = compute.min_max(compute.list_value_length(column)).as_py() if types.is_list(kind) else {}
-    if types.is_list(kind) and one:
-        yield from _parts(name, compute.list_flatten(column), one)
-    elif types.is_struct(kind):
-        for k, field in enumerate(kind):
-            under = field.name if one else f"{stem}_{field.name}{unit}"
-            yield from _parts(under, compute.struct_field(column, k), one)
-    elif sizes.get("max") and sizes["min"] == sizes["max"] <= MOST_COLUMNS:
-        for k in range(sizes["max"]):
-            yield from _parts(f"{stem}_{k}{unit}", compute.list_element(column, k), one)
-    else:
-        yield name, column
+    return source_of(table, quoted(path))
 
 
 class ParquetWriter:

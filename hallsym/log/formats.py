@@ -34,7 +34,7 @@ from hallsym.log.format_hdf5 import open_hdf5
 from hallsym.log.format_mat import open_mat, open_numpy
 from hallsym.log.format_mcap import open_mcap
 from hallsym.log.format_mdf import open_mdf
-from hallsym.log.format_parquet import ParquetSource, open_feather, open_json
+from hallsym.log.format_parquet import open_feather, open_json, open_parquet
 from hallsym.log.format_tdms import open_tdms
 from hallsym.log.format_xlsx import open_workbook
 from hallsym.log.groups import Group, GroupedSource
@@ -65,7 +65,7 @@ class Format:
 
 
 FORMATS = (
-    Format("parquet", (".parquet", ".pq"), ParquetSource, "Parquet"),
+    Format("parquet", (".parquet", ".pq"), open_parquet, "Parquet"),
     Format(
         "csv", (".csv", ".txt", ".tsv", ".lvm", ".dat", ".asc"), CsvSource, "CSV", ("delimiter", "decimal")
     ),
@@ -398,7 +398,7 @@ def _resolve(wanted: Mapping[str, str | Foreign], source: Source) -> dict[str, F
     def own(name: str) -> str:
         if name in source.names or name in source.aliases:
             return source.aliases.get(name, name)
-        longer = [one for one in source.names if re.match(rf"{re.escape(name)}\W", one)]
+        longer = [c for c in source.names if re.match(rf"{re.escape(name)}\W", c) or split_unit(c)[0] == name]
         return longer[0] if len(longer) == 1 else name  # without the unit, as people say it
 
     entries = {ours: Foreign(e) if isinstance(e, str) else e for ours, e in wanted.items()}

@@ -1,4 +1,4 @@
-"""One table that holds several: runs or clocks side by side, channels in rows of their own, a row per value."""
+"""One table that holds several: runs or clocks side by side, channels in their own rows, a row per value."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ from hallsym.log.table import Arrays, Source
 from hallsym.log.text.cells import MISSING, is_number
 from hallsym.units import UNITS, Array, split_unit
 
+_FEW = 50
+"""Rows that show which columns hold words, and which are filled in the same ones."""
 Parts = Mapping[str, Mapping[str, tuple[str, Array]]]
 """By the name of a part its columns: by their name there the source's own, and its samples."""
 
@@ -122,14 +124,10 @@ def by_clock(source: Source, where: str) -> Source:
     return found
 
 
-def _head(source: Source) -> dict[str, tuple[str, ...]]:
+def _head(source: Source, count: int = _FEW) -> dict[str, tuple[str, ...]]:
     """Return the first cells of each column."""
-    rows = [row for row in source.head(_FEW, len(source.names)) if len(row) == len(source.names)]
+    rows = [row for row in source.head(count, len(source.names)) if len(row) == len(source.names)]
     return dict(zip(source.names, zip(*rows, strict=True), strict=False))
-
-
-_FEW = 50
-"""Rows that show which columns are filled in the same ones."""
 
 
 def by_rows(source: Source, where: str) -> Source:
@@ -155,8 +153,8 @@ def by_rows(source: Source, where: str) -> Source:
     return _parted(source, where, "channels in rows of their own", parts)
 
 
-MOST_NAMES = 6
-"""Columns of a table with a row per value at most: time, run, name, value, and what is kept beside them."""
+MOST_NAMES = 12
+"""Columns of a table with a row per value at most: time, run, name, value, and what a database adds."""
 LOOKED_AT = 1000
 """Rows that are looked at to see whether names come again."""
 
@@ -164,25 +162,30 @@ LOOKED_AT = 1000
 def by_signal(source: Source, where: str) -> Source:
     """Return the signals of a table with a row per value (time, name, value) as columns.
 
-    Any other table is returned as it is: one with more than one column of words, or of numbers beside time
-    and run, or whose values have a unit, which several quantities cannot share.
+    Columns that are the same throughout, or for each name, are left out. Any other table is returned as it
+    is: one with more than one column of words, or of numbers beside time and run, or whose values have a
+    unit, which several quantities cannot share.
     """
     if not 3 <= len(source.names) <= MOST_NAMES:
         return source
-    head = [row for row in source.head(LOOKED_AT, MOST_NAMES) if len(row) == len(source.names)]
-    columns = dict(zip(source.names, zip(*head, strict=True), strict=False))
+    columns = {name: cells for name, cells in _head(source, LOOKED_AT).items() if len(set(cells)) > 1}
     words = [name for name, cells in columns.items() if not any(map(is_number, cells))]
     stems = {name: split_unit(split_header(name)[0])[0].lower().strip("_") for name in source.names}
     stamps = [name for name in columns if stems[name] in TIME_WORDS]
     names = [name for name in words if name not in stamps]
-    numbers = [n for n in columns if n not in words and n not in stamps and stems[n] not in RUN_WORDS]
+    kinds = len(set(columns[names[0]])) if names else 0
+    numbers = [
+        name for name, cells in columns.items()
+        if name not in (*words, *stamps) and stems[name] not in RUN_WORDS
+        and len({*zip(cells, columns[names[0]] if names else cells, strict=True)}) > kinds
+    ]  # fmt: skip
     if len(names) != 1 or len(numbers) != 1 or numbers[0] in source.units or split_unit(numbers[0])[1]:
         return source
     labels = np.array(source.labels(names[0]))
     signals = list(dict.fromkeys(labels))
     if not 2 <= len(signals) <= len(labels) / 2:
         return source
-    beside = [name for name in source.names if name not in (names[0], numbers[0])]
+    beside = [name for name in columns if name in stamps or stems[name] in RUN_WORDS]
     data, found = source.read([*beside, numbers[0]]), stems_of(signals, [None] * len(signals), where)
     parts = {}
     for stem, (label, _) in found.items():

@@ -12,15 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hallsym.errors import InputError
+from hallsym.log.arrow import MOST_COLUMNS
 from hallsym.log.columns import split_header, stems_of, unit_of
 from hallsym.log.groups import Group, GroupedSource
 from hallsym.log.table import Source
 from hallsym.log.text.cells import is_unit_row
 from hallsym.units import UNITS, Array
-
-MOST_COLUMNS = 100
-"""Columns that a matrix is taken for at most: a wider one is a picture or a map."""
-
 
 Opened = Callable[[], AbstractContextManager[Any]]
 """Opens the file that vectors are read from."""
@@ -30,7 +27,7 @@ class Stored(NamedTuple):
     """An array in a file, with named fields perhaps: its shape and type, and the unit that the file states.
 
     `find` takes the opened file and a field, "" without one, and returns what indices of numpy read. `fault`:
-    why it cannot be used. `texts`: lists of words that stand with it, such as names of the columns of a matrix.
+    why it cannot be used. `texts`: lists of words that stand with it, as names of columns of a matrix do.
     """
 
     shape: tuple[int, ...]
@@ -85,8 +82,8 @@ class Vectors(Source):
 def columns_of(path: str, array: Stored, field: str, by: str) -> tuple[dict[str, Vector], str]:
     """Return the columns of a field of an array by path, or why there are none ("": it is none of numbers).
 
-    A matrix becomes a column for each of its rows or columns, whichever are fewer, by the names that stand with
-    it or `name_0` to `name_k`; a row or column matrix, MATLAB's vector, is one.
+    A matrix becomes a column for each of its rows or columns, whichever are fewer, by the names that stand
+    with it or `name_0` to `name_k`; a row or column matrix, MATLAB's vector, is one.
     """
     shape, kind = array.shape, (array.dtype[field] if field else array.dtype).kind
     sizes = [n for n in shape if n != 1] or [1]

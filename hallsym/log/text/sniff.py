@@ -192,7 +192,7 @@ class Split:
                 return max(self.data, k + 1), lines[k].number, row
         for k in range(self.top - 1, -1, -1):  # a row of a header: its name, then units
             units = [cell for cell in self.rows[k][1:] if cell]
-            if 3 * len(units) >= self.width > 1 and all(map(unit_of, units)):
+            if len(units) > 1 and 3 * len(units) >= self.width and all(map(unit_of, units)):
                 return self.data, lines[k].number, ["", *self.rows[k][1:]]
         return self.data, 0, []
 
