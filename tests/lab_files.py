@@ -103,13 +103,15 @@ JOINED = {c: n.replace(" ", "") for c, n in NAMES.items()}
 PATHS = {c: f"Root/Hall/{n[-1]}" if c.startswith("hall") else f"Root/{n.replace(' ', '/')}"
          for c, n in NAMES.items()}  # fmt: skip
 NUMBERED = NAMES | {"hall_a_m": "Hall", "hall_b_m": "Hall [um].1", "hall_c_m": "Hall [um].2"}
+OURS = {c: c if c == "run" else c.rpartition("_")[0] for c in NAMES} | {"run": "Run"}
+CHINESE = {c: n.replace("Hall ", "霍尔").replace("Laser ", "激光") for c, n in NAMES.items()}
+CHINESE |= {"run": "次数", "t_s": "时间", "z_m": "高度"}
 HALLS, VERTICAL = ("hall_a_m", "hall_b_m", "hall_c_m"), ("z_m", "rx_rad", "ry_rad")
 LASER = ("x_ref_m", "y_ref_m", "rz_ref_rad")
 UNIT = {"t_s": "ms"} | {c: "um" if c.endswith("_m") else "urad" for c in (*HALLS, *VERTICAL, *LASER)}
 NANO = {c: {"um": "nm", "urad": "nrad"}.get(u, u) for c, u in UNIT.items()}
 MILLI = {c: u.replace("um", "mm") for c, u in UNIT.items()} | {"t_s": "s"}
 SYMBOL = {"um": "µm", "urad": "µrad", "deg": "°", "v": "V", "mv": "mV"}
-WORD = {"um": "micrometers", "urad": "microradians", "ms": "milliseconds"}
 
 BRACKETS, ROUND, SNAKE, ASIDE = "{name} [{unit}]", "{name} ({unit})", "{name}_{plain}", "{name}|{plain}"
 """How a unit stands behind a name; `ASIDE`: it is written elsewhere, `named` has it."""
@@ -125,7 +127,7 @@ def theirs(
     out, known = {}, {}
     for column, values in data.items():
         unit, name = units.get(column, ""), names[column]
-        shown = {"unit": SYMBOL.get(unit, unit), "plain": unit, "word": WORD.get(unit, unit)}
+        shown = {"unit": SYMBOL.get(unit, unit), "plain": unit}
         out[form.format(name=name, **shown) if unit else name] = within(values, unit)
         known[column] = Known(name, unit)
     return out, known
@@ -322,10 +324,50 @@ def fortran(file: Path, columns: Columns) -> None:
 
 
 def row_per_value(file: Path, columns: Columns) -> None:
-    """Time, name and value in each row, as databases of time series export them."""
+    """Time, name and value in each row, and columns that tell nothing, as databases of series export them."""
     t = columns.pop("time_s")
-    rows = [f"{t[k]:.9g},{name},{x[k]:.10g}" for k in range(len(t)) for name, x in columns.items()]
-    file.write_text("\n".join(["time_s,channel,value", *rows, ""]), encoding="utf-8")
+    rows = [f",{j},{t[k]:.9g},{name},{x[k]:.10g},stage"
+            for k in range(len(t)) for j, (name, x) in enumerate(columns.items())]  # fmt: skip
+    file.write_text("\n".join([",table,time_s,channel,value,_measurement", *rows, ""]), encoding="utf-8")
+
+
+def words_between(file: Path, columns: Columns) -> None:
+    """What a board prints besides its numbers, before, between and after them."""
+    text()(file, columns)
+    lines = file.read_text().splitlines()
+    lines[400:400], lines[900:900] = ["WARN: 31.5 degC"], ["I2C retry"]
+    file.write_text("\n".join(["Booting v1.3 ...", *lines, "done, thank you", ""]))
+
+
+def names_before_numbers(file: Path, columns: Columns) -> None:
+    """The lines of a serial plotter."""
+    rows = zip(*columns.values(), strict=True)
+    lines = [",".join(f"{n}:{usual(x)}" for n, x in zip(columns, row, strict=True)) for row in rows]
+    file.write_text("\n".join([*lines, ""]))
+
+
+def own_clocks(file: Path, columns: Columns) -> None:
+    """A time before each channel, below rows of names, types and units, as TwinCAT exports them."""
+    clock, cells = columns.pop("Time|ms"), [*named(columns)]
+    rows = [[f"{word}\t{value}" for value in values] for word, values in (
+        ("Name", [f"Axis.{name}" for name, _, _ in cells]), ("Data-Type", ["REAL64"] * len(cells)),
+        ("SampleTime[ms]", [5] * len(cells)), ("Unit", [unit for _, unit, _ in cells]),
+    )]  # fmt: skip
+    rows += [[], *([f"{t:.3f}\t{usual(x[k])}" for _, _, x in cells] for k, t in enumerate(clock))]
+    file.write_text("\r\n".join(["Name\tProject 3", "", *map("\t".join, rows), ""]))
+
+
+def own_rows(file: Path, columns: Columns) -> None:
+    """A merged log of a bus: readings in one row, the reference in the next, a little later."""
+    late = [n for n in columns if n.startswith("Laser")]
+    lines = [",".join(columns)]
+    for k in range(len(columns["Run"])):
+        for mine in (False, True):
+            at = {"Time [ms]": columns["Time [ms]"][k] + 1e-4 * mine, "Run": columns["Run"][k]}
+            lines.append(",".join(
+                usual(at.get(n, x[k])) if n in at or (n in late) == mine else "" for n, x in columns.items()
+            ))  # fmt: skip
+    file.write_text("\n".join([*lines, ""]), encoding="utf-8")
 
 
 def beside_meta(file: Path, columns: Columns) -> None:
@@ -466,6 +508,16 @@ def hdf5_records(file: Path, columns: Columns) -> None:
         out["measurement/log"] = np.rec.fromarrays(list(columns.values()), names=list(columns))
 
 
+def hdf5_matrix(file: Path, columns: Columns) -> None:
+    """HDF5 with one matrix, the names and units of its columns in attributes."""
+    import h5py
+
+    names, units, values = zip(*named(columns), strict=True)
+    with h5py.File(file, "w") as out:
+        out["daq/data"] = np.column_stack(values)
+        out["daq/data"].attrs.update(columns=names, units=units, rate_hz=200.0)
+
+
 def tdms(path: Path, data: Columns) -> Written:
     """TDMS: a group Hall with the channels A, B, C, units as properties, a rate as a property."""
     from nptdms import ChannelObject, TdmsWriter
@@ -576,6 +628,30 @@ def arrow(file: Path, columns: Columns) -> None:
     (feather.write_feather if file.suffix == ".feather" else parquet.write_table)(made, str(file))
 
 
+def lists_and_records(file: Path, columns: Columns) -> None:
+    """Parquet with a list for the readings of a row, and a record for the reference."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    halls = np.column_stack([columns.pop(f"hall_{k}_um") for k in "abc"]).tolist()
+    ref = {n.replace("_ref", ""): columns.pop(n) for n in ("x_ref_um", "y_ref_um", "rz_ref_urad")}
+    record = pa.StructArray.from_arrays(list(map(pa.array, ref.values())), names=list(ref))
+    parquet.write_table(pa.table({**columns, "hall_um": halls, "ref": record}), str(file))
+
+
+def json_rows(file: Path, columns: Columns) -> None:
+    """A JSON object a line."""
+    rows = zip(*(np.asarray(x).tolist() for x in columns.values()), strict=True)
+    file.write_text("".join(json.dumps(dict(zip(columns, row, strict=True))) + "\n" for row in rows))
+
+
+def json_runs(file: Path, columns: Columns) -> None:
+    """A JSON object a run, with lists of its samples."""
+    runs = ({"Run": k, "fs": 200, **{n: x.tolist() for n, x in part.items()}}
+            for k, part in parts_by_run(columns))  # fmt: skip
+    file.write_text("".join(f"{json.dumps(run)}\n" for run in runs))
+
+
 def json_lines(path: Path, data: Columns) -> Written:
     """JSON lines, with objects in objects."""
     lines = []
@@ -655,6 +731,10 @@ SCOPE = {"t_s": (Known("x-axis", "s"), as_it_is), "v_sin_v": (Known("SIN", "v"),
 TEKTRONIX = {"t_s": (Known("TIME", "s"), as_it_is), "v_sin_v": (Known("CH1", "v"), as_it_is),
              "v_cos_v": (Known("CH2", "v"), as_it_is),
              "angle_ref_rad": (Known("CH3", "rad"), as_it_is)}  # fmt: skip
+CHANNELS = {"t_s": (Known("Time", "s"), as_it_is), "v_sin_v": (Known("Channel 0", "v"), as_it_is),
+            "v_cos_v": (Known("Channel 1", "v"), as_it_is),
+            "angle_ref_rad": (Known("Channel 2", "deg"), np.degrees)}  # fmt: skip
+RIGOL = TEKTRONIX | {"t_s": (Known("X", "s", 5e-3), lambda t: np.round(t / 5e-3))}
 UNITLESS_TURN = {"t_s": (Known("t", "s"), as_it_is), "v_sin_v": (Known("sin", "v"), as_it_is),
                  "v_cos_v": (Known("cos", "v"), as_it_is),
                  "angle_ref_rad": (Known("theta", "rad"), lambda x: x % TURN)}  # fmt: skip
@@ -754,12 +834,10 @@ FILES: dict[str, LabFile] = {
     "runs side by side, own clocks": LabFile(wide("{name} #{run} [{unit}]", by=";")),
     "runs side by side, one shorter": LabFile(wide("Run {run} {name} [{unit}]", clock="t_ms", short=7),
                                               within=3.0),
-    "runs side by side, no units": LabFile(wide("{name}_run{run}", JOINED, clock="t_ms")),
     "folder of runs": LabFile(each_run("session 3/run{k}.csv", "session 3", text(above="# a run\n"),
                                        note="README.md")),
     "pattern of runs": LabFile(each_run("2026-02-0{day}_1{hour}h30.csv", "2026-*.csv", text(),
                                         "{name}_{unit}", JOINED)),
-    "folder of runs, no units": LabFile(each_run("scans/scan_{k}.csv", "scans/*.csv", text(), "{name}")),
     "names of runs": LabFile(saved("named.csv", lambda file, columns: text()(
         file, columns | {"Run": [f"R{int(k) + 1:02d}" for k in columns["Run"]]}))),
     "two files, two rates": LabFile(two_rates(), within=6.0),
@@ -783,7 +861,6 @@ FILES: dict[str, LabFile] = {
     "wrapped degrees": LabFile(of_columns("angles.csv", WRAPPED, text("\t"), BRACKETS), "chip"),
     "an encoder without units": LabFile(one_run(of_columns("turn.dat", UNITLESS_TURN, text(" "))), "rotary"),
     "millivolts": LabFile(board(places=True), "halbach"),
-    "units as words": LabFile(saved("words.csv", text(), "{name} ({word})")),
     "unnamed index": LabFile(saved("frame.csv", text(), before={"": np.arange})),
     "columns numbered by pandas": LabFile(knows(
         saved("merged.csv", numbered_by_pandas, BRACKETS, NUMBERED, NUMBERED_UNITS),
@@ -793,10 +870,25 @@ FILES: dict[str, LabFile] = {
     "a long preamble": LabFile(saved("daq3.csv", text(above="\n".join(PREAMBLE)))),
     "labels above names": LabFile(one_run(of_columns("tek.csv", TEKTRONIX, text(above="\n".join(SETTINGS)))),
                                   "rotary"),
+    "a scope's increment": LabFile(one_run(of_columns("rigol.csv", RIGOL, text(
+        head=lambda names: ",".join(names) + ",Start,Increment\nSequence,Volt,Volt,Volt,0.0,5e-3",
+        last=",,"))), "rotary"),
+    "channels by number": LabFile(one_run(of_columns("analog.csv", CHANNELS, text())), "rotary"),
+    "words between the rows": LabFile(saved("serial.txt", words_between)),
+    "names before numbers": LabFile(saved("plot.csv", names_before_numbers, SNAKE, UNDER)),
+    "a clock for each channel": LabFile(one_run(saved("scope.csv", own_clocks, ASIDE))),
+    "channels in their own rows": LabFile(saved("bus.csv", own_rows), within=0.2),
+    "Chinese": LabFile(saved("数据.csv", text(encoding="gb18030"), "{name}({plain})", CHINESE)),
+    "HDF5, a matrix with names": LabFile(saved("matrix.h5", hdf5_matrix, ASIDE)),
+    "lists and records": LabFile(knows(
+        saved("lists.parquet", lists_and_records, SNAKE, OURS),
+        **{c: Known(f"hall_{k}", "um") for k, c in enumerate(HALLS)})),
+    "JSON lines with dates": LabFile(saved("mqtt.jsonl", json_rows, SNAKE, UNDER,
+                                           clock=("timestamp", stamps))),
+    "JSON, an object a run": LabFile(saved("runs.jsonl", json_runs, SNAKE, OURS)),
     "counts and microsteps": LabFile(of_columns("stepper.csv", STEPPER, text()), "chip", within=3.0),
     "JSON of lists": LabFile(saved("log.json", json_columns, SNAKE, UNDER, words=("--format", "json"))),
     "folder of HDF5": LabFile(each_run("runs/run_{k}.h5", "runs", hdf5(), ASIDE)),
-    "folder of MATLAB": LabFile(each_run("runs/run{k}.mat", "runs", matlab(), SNAKE, UNDER)),
     "MATLAB 7.3": LabFile(matlab_73),
     "structured array": LabFile(saved("record.npz", structured_array, SNAKE, UNDER)),
     "a sheet with two tables": LabFile(saved("mixed.xlsx", two_tables)),

@@ -193,7 +193,7 @@ def bind(
     taken = {b.source for b in bindings.values()}
     mapped = set(bindings)
     for column in (c for c in found if c not in taken):
-        name = _named(column, stated.get(column), where)
+        name = RUN if column.lower() == RUN not in found else _named(column, stated.get(column), where)
         if name == RUN or split_unit(name)[1]:
             own = _binding(name, Foreign(column), where, counts_per_turn)
             if own.name not in mapped:  # what somebody wrote wins over the file's own name

@@ -92,7 +92,7 @@ class Group:
 
 def on_one_scale(groups: Sequence[Group]) -> None:
     """Let clocks that state a moment count from the earliest one, and those that start again run by run."""
-    if any(g.restarts for g in groups) and all(RUN in g.channels for g in groups):
+    if all(RUN in g.channels for g in groups):
         for g in groups:
             g.by_run, g.restarts = True, False
             g.begin()
@@ -354,9 +354,12 @@ class GroupedSource(Source):
             last, inside = time[-1:], (time >= begin) & (time <= end)
             if inside.any():
                 found = {name: values[inside] for name, values in piece.items()}
+                keep = np.ones(len(time[inside]), bool)
                 for follower in followers:
                     found |= follower.at(time[inside], self.method)
-                yield {name: found[name] for name in names}
+                    keep &= ~follower.between
+                if keep.any():
+                    yield {name: found[name][keep] for name in names}
 
     def _shared(self) -> tuple[float, float]:
         """Return the times between which all groups were recorded."""
@@ -412,7 +415,7 @@ class Follower:
         turns: Mapping[str, float | None],
         where: str,
     ) -> None:
-        """Begin a pass for columns and their channels.
+        """Begin a pass for columns and their channels; `between`: which of the last rows no run of it has.
 
         `turns`: by column a full turn of an angle, 0 for others; None for whole numbers, between which there
         is nothing. Messages call the file `where`.
@@ -423,6 +426,7 @@ class Follower:
         self._buffer = {name: np.empty(0, bool) for name in self.names}  # joining keeps the other type
         self._more()
         steps = np.diff(self._buffer[TIME][:FOR_PERIOD])
+        self.between = np.empty(0, bool)
         self._longest = LONGEST_GAP * float(np.median(steps)) if len(steps) else np.inf
 
     def at(self, time: Array, method: str) -> dict[str, Array]:
@@ -433,6 +437,7 @@ class Follower:
         keep = max(0, min(int(np.searchsorted(own, time[0], "right")) - 1, len(own) - 2))
         self._buffer = {name: values[keep:] for name, values in self._buffer.items()}
         own = self._buffer[TIME]
+        self.between = np.zeros(len(time), bool)
         if len(own) < 2:
             return {column: np.full(len(time), np.nan) for column, _ in self.wanted}
         after = np.searchsorted(own, time, "left").clip(1, len(own) - 1)
@@ -440,6 +445,7 @@ class Follower:
         left, right = own[before], own[after]
         inside = (time >= left) & (time <= right) & (right - left <= self._longest)
         known = inside | (time == left) | (time == right)
+        self.between = ~known & (right - left > RUN_SPACING_S / 2)
         share = np.divide(time - left, right - left, out=np.zeros(len(time)), where=right > left)
         out = {}
         for column, channel in self.wanted:

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.log.columns import RUN_WORDS, TIME_WORDS, T, split_header, stems_of
+from hallsym.log.columns import RUN, RUN_WORDS, TIME_WORDS, T, split_header, stems_of
 from hallsym.log.groups import Group, GroupedSource
 from hallsym.log.table import Arrays, Source
 from hallsym.log.text.cells import MISSING, is_number
@@ -149,7 +149,10 @@ def by_rows(source: Source, where: str) -> Source:
     parts = {}
     for names in kinds.values():
         mine = np.any([np.isfinite(data[name]) for name in names], axis=0)
-        parts[names[0]] = {name: (name, data[name][mine]) for name in (*every, *names)}
+        parts[names[0]] = {
+            RUN if name in every and name.lower() in RUN_WORDS else name: (name, data[name][mine])
+            for name in (*every, *names)
+        }
     return _parted(source, where, "channels in rows of their own", parts)
 
 

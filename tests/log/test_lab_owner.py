@@ -7,25 +7,15 @@ from pathlib import Path
 import pytest
 from lab_files import FILES, obeyed
 
-UNSOLVED = {
-    "MATLAB matrices": "a matrix of three Halls without names is taken for a ring",
-    "columns numbered by pandas": "the column file names columns as pandas renamed them",
-    "labels above names": "three channels without names are taken for a ring",
-}
 QUICK = {
     "decimal commas", "no units", "counts with scale and offset", "runs side by side", "folder of runs",
-    "two files, moments", "workbook", "HDF5, attributes", "HDF5, records", "TDMS", "MATLAB struct",
+    "two files, moments", "workbook", "HDF5, attributes", "HDF5, records", "TDMS", "MATLAB matrices",
     "JSON lines", "parquet", "averaged counts", "an encoder without units", "a column of words, lost samples",
     "no names", "noise of a channel that is not there", "two files of other hours",
-    "a folder with another table",
+    "a folder with another table", "a clock for each channel", "channels in their own rows",
 }  # fmt: skip
 """One of each kind of question; `slow` are those that ask the same of another file."""
-NAMES = [
-    pytest.param(name, marks=[
-        *([] if name in QUICK else [pytest.mark.slow]),
-        *([pytest.mark.xfail(strict=True, reason=UNSOLVED[name])] if name in UNSOLVED else []),
-    ]) for name in FILES
-]  # fmt: skip
+NAMES = [pytest.param(name, marks=[] if name in QUICK else [pytest.mark.slow]) for name in FILES]
 
 
 @pytest.mark.parametrize("name", NAMES)
