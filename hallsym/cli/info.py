@@ -183,9 +183,7 @@ def _write(options: Namespace) -> int:
         "rest": list(found.rest),
     }
     options.column_file = options.write
-    chosen = (
-        ["--model", found.model.name] if options.model or (found.recognised and not found.by_columns) else []
-    )
+    chosen = ["--model", found.model.name] if options.model or found.recognised else []
     command = ["hallsym", "fit", options.file, *chosen, *reading_words(options)]
     check = f"Check {options.write}"
     if found.open:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.families import FAMILIES, build, default_model, family_called
+from hallsym.families import FAMILIES, build
 from hallsym.log import Meta
 from hallsym.log.columns import RUN_WORDS, TIME_WORDS, limit_of
 from hallsym.log.table import Source
@@ -243,15 +243,6 @@ class Suggestion:
             c for c in (*self.model.channels, *self.model.references) if split_unit(c)[0] not in known
         )
 
-    @property
-    def by_columns(self) -> bool:
-        """Whether the columns alone lead to a model of this family."""
-        columns = tuple(si_name(g.ours) for g in self.guesses)
-        try:
-            return family_called(default_model(Meta(columns=columns))) is self.model.family
-        except InputError:
-            return False
-
     def to_toml(self, log: str) -> str:
         """Return the column file, each line with what speaks for it."""
         rows = [(line, g.why) for g in self.guesses if not g.as_it_is for line in g.lines]
@@ -270,7 +261,7 @@ class Suggestion:
 def suggest(source: Source, model: str | None = None, meta: Meta | None = None) -> Suggestion:
     """Return the best guess for each column of a file.
 
-    `model`: what it is for, else that of `meta`, what a folder says of its log, else what the names fit.
+    `model`: what it is for, else that of `meta`, what a folder says of its log, else what its columns fit.
     Raises `InputError` for a file without a column of numbers.
     """
     data = _numbers(source)
@@ -279,7 +270,7 @@ def suggest(source: Source, model: str | None = None, meta: Meta | None = None) 
     forms = _models(source, data, model, meta or Meta())
     tried = [(form, _guesses(source, data, form)) for form in forms]
     moving = {name for name, values in data.items() if np.ptp(values[np.isfinite(values)]) > 0}
-    chosen, guesses = max(tried, key=lambda one: _covered(*one, moving))  # the first by name of equal ones
+    chosen, guesses = max(tried, key=lambda one: _covered(*one, moving))
     order = {stem: k for k, stem in enumerate((RUN, TIME, *_stems(chosen), *OTHERS))}
     used = {g.theirs for g in guesses}
     return Suggestion(
@@ -290,10 +281,8 @@ def suggest(source: Source, model: str | None = None, meta: Meta | None = None) 
 
 
 def _guesses(source: Source, data: Mapping[str, Array], model: Model) -> list[Guess]:
-    """Return the guesses for a model: by name, by what the references let its readings do, what is left."""
+    """Return the guesses for a model: by name, by what the references let its readings do."""
     named = _by_name(source, data, model)
-    references = {split_unit(c)[0] for c in model.references}
-    named += [g for g in _left(source, data, model, named) if g.stem in references]
     named = _by_readings(source, data, model, named)
     expected = _expected(data, model, named)
     named = [
@@ -302,8 +291,7 @@ def _guesses(source: Source, data: Mapping[str, Array], model: Model) -> list[Gu
         else g
         for g in named
     ]
-    guesses = [*named, *_by_motion(source, data, model, named, expected)]
-    return [*guesses, *_left(source, data, model, guesses)]
+    return [*named, *_by_motion(source, data, model, named, expected)]
 
 
 def _expected(data: Mapping[str, Array], model: Model, named: Sequence[Guess]) -> dict[str, Array]:
@@ -380,39 +368,22 @@ def _measured(model: Model) -> tuple[str, ...]:
 
 
 def _models(source: Source, data: Mapping[str, Array], name: str | None, meta: Meta) -> list[Model]:
-    """Return the forms of models whose columns a file may have, those that its names fit best first."""
+    """Return the forms of models whose columns a file may have.
 
-    def fits(model: Model) -> tuple[float, int]:
-        stems = _stems(model)
-        scores = [score for score, stem, _ in _matched(source, data, model) if stem in stems]
-        return sum(scores) / len(stems), len(scores)
-
-    own = [si_name(n) for n in source.names if _own(n)]
-    for column in (n for n in source.names if not _own(n) and _stated(source, n)):
-        like = "_".join([*re.findall(r"\w+", column.lower()), UNITS[_stated(source, column)].si])
-        own += [like] if any(re.fullmatch(family.readings, like) for family in FAMILIES) else []
-    counts = [len(each) for each in series_of(n for n in data if not _behaves(RUN, data[n]))]
-
-    found: list[Model] = []
-    for default in [stated] if (stated := name or meta.base_model) else [f.default for f in FAMILIES]:
-        with nullcontext() if stated else suppress(InputError):  # a family that fails and nobody asked for
-            found += _forms(default, tuple(own), counts, meta)
-    return sorted(found, key=fits, reverse=True)
-
-
-def _forms(name: str, own: tuple[str, ...], counts: Sequence[int], meta: Meta) -> list[Model]:
-    """Return a model as it is read by its channels, as its pose is read, and as columns of ours say.
-
-    `counts`: numbered columns of the file, where the model may have so many readings.
+    A model is read by its channels, as its pose is read, as columns of ours say, or by as many readings as
+    there are numbered columns.
     """
-    usual = build(name)
-    found, first = [usual], usual.channels[0]
-    numbered = [tuple(re.sub(r"\d+", str(k), first) for k in range(count)) for count in counts]
-    for columns in ((*usual.pose, *usual.references), own, *(numbered if re.search(r"\d", first) else ())):
-        try:
-            found.append(build(name, meta=replace(meta, columns=columns)))
-        except InputError:
-            continue  # not a form of it
+    own = tuple(si_name(n) for n in source.names if _own(n))
+    counts = [len(each) for each in series_of(n for n in data if not _behaves(RUN, data[n]))]
+    stated, found = name or meta.base_model, list[Model]()
+    for default in [stated] if stated else [family.default for family in FAMILIES]:
+        with nullcontext() if stated else suppress(InputError):  # a family that fails and nobody asked for
+            found.append(usual := build(default))
+            first = usual.channels[0] if re.search(r"\d", usual.channels[0]) else ""
+            numbered = [[re.sub(r"\d+", str(k), first) for k in range(n)] for n in counts if first]
+            for columns in ((*usual.pose, *usual.references), own, *map(tuple, numbered)):
+                with suppress(InputError):  # not a form of it
+                    found.append(build(default, meta=replace(meta, columns=columns)))
     return found
 
 
@@ -658,19 +629,6 @@ def _left_over(expected: Mapping[str, Array], columns: Sequence[Array]) -> float
             left = own - basis @ np.linalg.lstsq(basis, own, rcond=None)[0]
             shares.append(float(np.var(left) / np.var(own)))
     return sorted(shares)[len(expected) - 1] if len(shares) >= len(expected) else 1.0
-
-
-def _left(source: Source, data: Mapping[str, Array], model: Model, known: Sequence[Guess]) -> list[Guess]:
-    """Return the guess for the one column that the model lacks, where one column of the file can be it."""
-    stems, used = {g.stem for g in known}, {g.theirs for g in known}
-    lacking = [stem for stem in _stems(model) if stem not in stems]
-    free = [n for n in data if n not in used and np.ptp(data[n]) > 0 and not _behaves(RUN, data[n])]
-    if len(lacking) != 1:
-        return []
-    fitting = [n for n in free if not _own(n) and _unit_fits(source, n, lacking[0], model)]
-    found = [n for n in fitting if _stated(source, n)] or fitting
-    guess = Guess(lacking[0], found[0], (), "THE ONLY ONE LEFT") if len(found) == 1 else None
-    return [_with_unit(source, data[guess.theirs], guess, model)] if guess else []
 
 
 def _si(values: Array, guess: Guess) -> Array:

@@ -111,6 +111,8 @@ def by_clock(source: Source, where: str) -> Source:
     filled = {name: np.flatnonzero(np.isfinite(data[name])) for name in clocks}
     if not all(len(at) and (np.diff(data[name][at]) > 0).all() for name, at in filled.items()):
         return source
+    if not set(clocks) <= {first, *again} and len({len(at) for at in filled.values()}) == 1:
+        return source  # two clocks of one logger
     names = {name: again.get(name, name) if called or name not in clocks else T for name in source.names}
     parts = {}
     for k, (clock, (start, stop)) in enumerate(zip(clocks, pairwise(starts), strict=True), 1):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -64,13 +65,14 @@ class Source(ABC):
 
     def head(self, count: int, most: int) -> list[list[str]]:
         """Return the first rows as text, of at most `most` columns; "" for anything but a number."""
-        columns = []
-        for name in self.names[:most]:
-            try:
-                values = next(iter(self.chunks([name], count)), {name: np.empty(0)})[name][:count]
-            except InputError:
-                values = np.empty(0)
-            columns.append([f"{value:.9g}" for value in np.asarray(values, float).tolist()])
+        found, names = dict[str, Array](), self.names[:most]
+        for some in (names, *([name] for name in names)):
+            with suppress(InputError):  # words
+                found |= (
+                    next(iter(self.chunks(some, count)), {}) if some and not found.keys() >= {*some} else {}
+                )
+        values = [np.asarray(found.get(name, ())[:count], float).tolist() for name in names]
+        columns = [[f"{value:.9g}" for value in own] for own in values]
         rows = max(map(len, columns), default=0)
         return [[column[k] if k < len(column) else "" for column in columns] for k in range(rows)]
 
