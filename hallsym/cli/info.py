@@ -183,7 +183,8 @@ def _write(options: Namespace) -> int:
         "rest": list(found.rest),
     }
     options.column_file = options.write
-    chosen = ["--model", found.model.name] if options.model or found.recognised else []
+    stated = options.model or (found.recognised and not found.by_columns)
+    chosen = ["--model", found.model.name] if stated else []
     command = ["hallsym", "fit", options.file, *chosen, *reading_words(options)]
     check = f"Check {options.write}"
     if found.open:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.families import FAMILIES, build
+from hallsym.families import FAMILIES, build, default_model, family_called
 from hallsym.log import Meta
 from hallsym.log.columns import RUN_WORDS, TIME_WORDS, limit_of
 from hallsym.log.table import Source
@@ -107,8 +107,8 @@ def series_of(names: Iterable[str]) -> list[dict[str, int]]:
 def _places(names: Iterable[str], model: Model) -> dict[str, str]:
     """Return the stems of numbered names of a file: a set is as large as one of channels, references, state.
 
-    A set whose words say that it is references, or readings, is no other. Of sine and cosine the first is not
-    known.
+    A set whose words say that it is references, or readings, is no other; one without such words is taken
+    where there is no second. Of sine and cosine the first is not known.
     """
     stems = [[split_unit(c)[0] for c in of] for of in (model.channels, model.references, _measured(model))]
     alike = len({re.sub(r"(?<![a-z])[a-z]$|\d+", "", stem) for stem in stems[0]}) == 1
@@ -116,7 +116,7 @@ def _places(names: Iterable[str], model: Model) -> dict[str, str]:
     sets = series_of(names)
     words = [frozenset().union(*map(words_of, each)) & _KINDS for each in sets]
     for each, own in sorted(zip(sets, words, strict=True), key=lambda pair: not pair[1]):
-        wanted = [1] if REF in own else [0] if own else [*free]
+        wanted = [1] if REF in own else [0] if own else [*free] if words.count(own) == 1 else []
         place = next((k for k in wanted if len(free.get(k, ())) == len(each)), None)
         if place is not None:
             found |= {name: free[place][k] for name, k in each.items()}
@@ -243,6 +243,15 @@ class Suggestion:
             c for c in (*self.model.channels, *self.model.references) if split_unit(c)[0] not in known
         )
 
+    @property
+    def by_columns(self) -> bool:
+        """Whether the columns alone lead to a model of this family."""
+        columns = tuple(si_name(g.ours) for g in self.guesses)
+        try:
+            return family_called(default_model(Meta(columns=columns))) is self.model.family
+        except InputError:
+            return False
+
     def to_toml(self, log: str) -> str:
         """Return the column file, each line with what speaks for it."""
         rows = [(line, g.why) for g in self.guesses if not g.as_it_is for line in g.lines]
@@ -328,11 +337,15 @@ def _goes_round(column: str) -> bool:
     return column.endswith("_rad") and limit_of(column) is None
 
 
-def _covered(model: Model, guesses: Sequence[Guess], moving: Collection[str]) -> float:
-    """Return the share of the columns of a model, and of those of a file that move, that go together."""
+def _covered(model: Model, guesses: Sequence[Guess], moving: Collection[str]) -> tuple[float, int]:
+    """Return the share of the columns of a model, and of those of a file that move, that go together.
+
+    And how many of them have a unit in which the model takes them.
+    """
     stems = _stems(model)
     rest = set(moving) - {g.theirs for g in guesses}
-    return len({g.stem for g in guesses} & set(stems)) / (len(stems) + len(rest))
+    share = len({g.stem for g in guesses} & set(stems)) / (len(stems) + len(rest))
+    return share, sum(not g.raw for g in guesses)
 
 
 def _numbers(source: Source) -> dict[str, Array]:
@@ -374,14 +387,18 @@ def _models(source: Source, data: Mapping[str, Array], name: str | None, meta: M
     there are numbered columns.
     """
     own = tuple(si_name(n) for n in source.names if _own(n))
-    counts = [len(each) for each in series_of(n for n in data if not _behaves(RUN, data[n]))]
+    sets = series_of(n for n in data if not _behaves(RUN, data[n]))
+    kinds = [{UNITS[u].si for n in each if (u := _stated(source, n))} for each in sets]
     stated, found = name or meta.base_model, list[Model]()
     for default in [stated] if stated else [family.default for family in FAMILIES]:
         with nullcontext() if stated else suppress(InputError):  # a family that fails and nobody asked for
             found.append(usual := build(default))
-            first = usual.channels[0] if re.search(r"\d", usual.channels[0]) else ""
-            numbered = [[re.sub(r"\d+", str(k), first) for k in range(n)] for n in counts if first]
-            for columns in ((*usual.pose, *usual.references), own, *map(tuple, numbered)):
+            forms = [(*usual.pose, *usual.references), own]
+            first, _, unit = usual.channels[0].rpartition("_")
+            for each, si in zip(sets, kinds, strict=True):
+                ending = unit if len(si) != 1 else next(iter(si))
+                forms += [tuple(f"{re.sub('[0-9]+', str(k), first)}_{ending}" for k in range(len(each)))]
+            for columns in forms:
                 with suppress(InputError):  # not a form of it
                     found.append(build(default, meta=replace(meta, columns=columns)))
     return found

@@ -460,7 +460,7 @@ LONGEST_UNIT = 12
 _BRACKETS = re.compile(r"(.*?)[\s_]*[\[({<]\s*([^\])}>]*?)\s*[\])}>]")
 _BEHIND = (
     re.compile(r"([^/]*[^/\s])\s*/\s*(\S+?(?:/\S+)?)"),
-    re.compile(r"(.*\S)\s+in\s+(\S+)"),
+    re.compile(r"(?:(.*\S)\s+)?in\s+(\S+)"),
     re.compile(r"(.*\S),\s*(\S+)"),
     re.compile(r"(.*\S)_([µμ°]\S*)"),
 )
@@ -512,7 +512,7 @@ def split_header(text: str) -> tuple[str, str | None]:
         match = pattern.fullmatch(text)
         unit = unit_of(match[2]) if match else None
         if match and unit:
-            return match[1], unit
+            return match[1] or text, unit
     plain = _PLAIN.fullmatch(text)
     if plain and unit_of(plain[2]) in _SURE:
         return plain[1], unit_of(plain[2])

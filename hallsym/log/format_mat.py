@@ -78,8 +78,8 @@ def _check_compressed(path: Path) -> None:
 def _flatten(value: Any, path: str) -> Iterator[tuple[str, Any]]:
     """Yield what nested structs hold by path; the structs of an array are numbered from 1, as in MATLAB."""
     if isinstance(value, list | np.ndarray) and len(value) and isinstance(value[0], dict):
-        value = {f"{path}{k}": item for k, item in enumerate(value, start=1)}
-        path = path.rpartition(".")[0]
+        path, _, name = path.rpartition(".")
+        value = {f"{name}{k}": item for k, item in enumerate(value, start=1)}
     if isinstance(value, dict):
         for key, item in value.items():
             yield from _flatten(item, f"{path}.{key}" if path else key)

@@ -83,17 +83,29 @@ def open_feather(path: Path) -> Memory:
 
 
 def open_json(path: Path) -> Memory:
-    """Open lines of JSON objects with the same keys, a list of them, or one object of lists.
+    """Open lines of JSON objects with the same keys, a list of them, or one object of lists or of a matrix.
 
     What one object holds at any depth are columns, those that are as long as the longest.
     """
     arrow = load("pyarrow")
     try:
-        whole = json.loads(path.read_bytes())
+        whole = _rows(json.loads(path.read_bytes()))
         table = arrow.Table.from_pylist(whole if isinstance(whole, list) else [whole])
     except json.JSONDecodeError:  # several objects
         table = load("pyarrow.json").read_json(path)
     return source_of(table, quoted(path))
+
+
+def _rows(whole: Any) -> Any:
+    """Return objects for the rows of a matrix whose column names stand beside it, as pandas writes them."""
+    lists = (
+        [own for own in whole.values() if isinstance(own, list) and own] if isinstance(whole, dict) else []
+    )
+    for names in (own for own in lists if all(isinstance(name, str) for name in own)):
+        for rows in lists:
+            if all(isinstance(row, list) and len(row) == len(names) for row in rows):
+                return [dict(zip(names, row, strict=True)) for row in rows]
+    return whole
 
 
 class ParquetWriter:
