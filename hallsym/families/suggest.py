@@ -279,7 +279,7 @@ def suggest(source: Source, model: str | None = None, meta: Meta | None = None) 
     forms = _models(source, data, model, meta or Meta())
     tried = [(form, _guesses(source, data, form)) for form in forms]
     moving = {name for name, values in data.items() if np.ptp(values[np.isfinite(values)]) > 0}
-    chosen, guesses = max(tried, key=lambda one: _covered(*one, moving))
+    chosen, guesses = max(tried, key=lambda one: _covered(one[0], one[1], moving))
     order = {stem: k for k, stem in enumerate((RUN, TIME, *_stems(chosen), *OTHERS))}
     used = {g.theirs for g in guesses}
     return Suggestion(
@@ -628,8 +628,8 @@ def _by_readings(
                 why = guess.why.partition(";")[0] if mine else "its data"
                 said = replace(one, why=f"{why}; the readings follow it in this unit")
                 followed.append((_left_over(_readings(model, _known(data, [*known, one])), others), said))
-    (best, found), *others = sorted([*followed, (1.0, None)], key=lambda one: one[0])
-    sure = best <= 1 - MOVES**2 and (not others or best * NEAR**2 <= others[0][0])
+    (best, found), *worse = sorted([*followed, (1.0, None)], key=lambda one: one[0])
+    sure = best <= 1 - MOVES**2 and (not worse or best * NEAR**2 <= worse[0][0])
     return [*known, *([found] if found and sure else mine)]
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from itertools import pairwise
 
 import numpy as np
@@ -69,13 +70,9 @@ def side_by_side(source: Source, where: str) -> Source:
     for run, columns in runs.items():
         if lacking := sorted(stems - set(columns)):
             raise InputError(f"Run {run} of {where} must have a column for {lacking[0]} as the others have.")
-    left_out, shared = dict(source.left_out), dict[str, Array]()
-    for name in source.names:
-        if name not in marked:
-            try:
-                shared |= source.read([name])
-            except InputError:
-                left_out[name] = "it holds no numbers"
+    others = [name for name in source.names if name not in marked]
+    shared = _numbers(source, others)
+    left_out = {**source.left_out, **{n: "it holds no numbers" for n in others if n not in shared}}
     data = {**shared, **source.read([*marked])}
     parts = {}
     for run, columns in runs.items():
@@ -98,18 +95,15 @@ def by_clock(source: Source, where: str) -> Source:
     """
     again = {name: match[1] for name in source.names if (match := _NUMBERED.fullmatch(name))}
     first = source.names[0] if source.names else ""
-    called = _is_clock(source, first)
-    clocks = [n for n in source.names if n == first or (_is_clock(source, n) if called else
-              n in again and again[n] == again.get(first))]  # fmt: skip
+    called, same = _is_clock(source, first), again.get(first, first)
+    clocks = [n for n in source.names if (_is_clock(source, n) if called else again.get(n, n) == same)]
     starts = [*map(source.names.index, clocks), len(source.names)]
     if len(clocks) < 2 or (np.diff(starts) < 2).any():
         return source
-    words = {name for name, cells in _head(source).items() if not any(map(is_number, cells))}
-    if words & set(clocks):
-        return source
-    data = source.read([name for name in source.names if name not in words])
-    filled = {name: np.flatnonzero(np.isfinite(data[name])) for name in clocks}
-    if not all(len(at) and (np.diff(data[name][at]) > 0).all() for name, at in filled.items()):
+    data = _numbers(source, source.names)
+    filled = {name: np.flatnonzero(np.isfinite(data[name])) for name in clocks if name in data}
+    rising = [len(at) > 0 and bool((np.diff(data[name][at]) > 0).all()) for name, at in filled.items()]
+    if len(filled) < len(clocks) or not all(rising):
         return source
     if not set(clocks) <= {first, *again} and len({len(at) for at in filled.values()}) == 1:
         return source  # two clocks of one logger
@@ -120,9 +114,19 @@ def by_clock(source: Source, where: str) -> Source:
         block = [n for n in source.names[start:stop] if n in data and np.isfinite(data[n][:rows]).any()]
         parts[f"block {k}"] = {names[name]: (name, data[name][:rows]) for name in block}
     found = _parted(source, where, "blocks side by side", parts)
-    texts = {text.removesuffix(f" {k}"): name for k in (1,) for text, name in source.aliases.items()}
-    texts |= {again[name]: name for name in clocks if name in again}
-    found.aliases = {**found.aliases, **{t: names[n] for t, n in texts.items() if n == first}}
+    text = next((text for text, name in source.aliases.items() if name == first), first)
+    found.aliases = {**found.aliases, text.removesuffix(" 1"): names[first], same: names[first]}
+    return found
+
+
+def _numbers(source: Source, names: Sequence[str]) -> dict[str, Array]:
+    """Return those of some columns that hold numbers."""
+    with suppress(InputError):
+        return dict(source.read(names))
+    found = dict[str, Array]()
+    for name in names:
+        with suppress(InputError):
+            found |= source.read([name])
     return found
 
 
@@ -147,13 +151,16 @@ def by_rows(source: Source, where: str) -> Source:
     apart = sum(map(len, kinds)) == len(frozenset().union(*kinds)) and all(len(kind) > 1 for kind in kinds)
     if len(kinds) < 2 or not apart or not any(_is_clock(source, name) for name in every):
         return source
-    data = source.read([*every, *(name for names in kinds.values() for name in names)])
+    data = _numbers(source, source.names)
     parts = {}
+    if any(name not in data for names in kinds.values() for name in names):
+        return source
     for names in kinds.values():
         mine = np.any([np.isfinite(data[name]) for name in names], axis=0)
         parts[names[0]] = {
             RUN if name in every and name.lower() in RUN_WORDS else name: (name, data[name][mine])
             for name in (*every, *names)
+            if name in data
         }
     return _parted(source, where, "channels in rows of their own", parts)
 
