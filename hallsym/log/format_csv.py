@@ -68,11 +68,10 @@ class CsvSource(Timed):
         """Yield consecutive chunks."""
         csv, arrow, dialect = load("pyarrow.csv"), load("pyarrow"), self.dialect
         places, labels = [str(self.names.index(name)) for name in names], [*map(str, range(len(self.names)))]
-        sign = delimiter_of(dialect)
         parse = csv.ParseOptions(
-            delimiter=sign,
+            delimiter=dialect.sign,
             quote_char='"' if dialect.quoted else False,
-            invalid_row_handler=lambda row: "skip" if dialect.is_remark(row.text, sign) else "error",
+            invalid_row_handler=lambda row: "skip" if dialect.is_remark(row.text) else "error",
         )
         convert = csv.ConvertOptions(
             column_types=dict.fromkeys(labels, arrow.float64())
@@ -102,8 +101,8 @@ class CsvSource(Timed):
     def _cells(self) -> Iterator[list[str]]:
         """Yield the rows of the table as text."""
         for piece in self._pieces():
-            sign, lines = delimiter_of(self.dialect), piece.split("\n")[:-1]
-            yield from (split(line, sign) for line in lines if not self.dialect.is_remark(line, sign))
+            rows = (line for line in piece.split("\n")[:-1] if not self.dialect.is_remark(line))
+            yield from (split(line, self.dialect.sign) for line in rows)
 
 
 class CsvWriter:
@@ -136,9 +135,9 @@ def first_fault(source: CsvSource, indices: Sequence[int], error: Exception) -> 
     dialect, clean = source.dialect, cleaning(source.dialect)
     for number, line in enumerate(source.text.lines(source.where), start=1):
         text = clean(f"{line}\n")[:-1] if number >= dialect.first else ""
-        if not text or dialect.is_remark(text, delimiter_of(dialect)):
+        if not text or dialect.is_remark(text):
             continue
-        cells = split(text, delimiter_of(dialect))
+        cells = split(text, dialect.sign)
         if len(cells) != len(source.names):
             decimal = dialect.delimiter == "," and len(cells) == 2 * len(source.names)
             why = "the file may be cut short or two lines may have run together"
@@ -176,11 +175,6 @@ BESIDE = ("", " ")
 _BLANK = "\n", " ", "\t"
 
 
-def delimiter_of(dialect: Dialect) -> str:
-    """Return the separator of the cells of clean lines."""
-    return "\t" if dialect.delimiter == " " else dialect.delimiter
-
-
 def cleaning(dialect: Dialect) -> Callable[[str], str]:
     r"""Return the removal of comments, empty lines, blanks, repeated names and separators from lines.
 
@@ -193,7 +187,7 @@ def cleaning(dialect: Dialect) -> Callable[[str], str]:
     grouping = dialect.numbers.grouping
     group = re.compile(rf"(?<=\d){re.escape(grouping)}(?=\d{{3}}(?!\d))", re.A)
 
-    sign = delimiter_of(dialect)
+    sign = dialect.sign
     beside = re.compile(rf'"[ ]*{re.escape(sign)}[ ]*"')
 
     def clean(lines: str) -> str:

@@ -13,7 +13,7 @@ from twins import bundled
 import hallsym
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, fit
-from hallsym.log import Log, read_log
+from hallsym.log import Log, open_source, read_log
 
 
 @pytest.fixture(scope="module")
@@ -179,7 +179,6 @@ def test_what_is_only_read_is_not_written(tmp_path: Path, columns: dict[str, np.
 
 
 def test_head_of_a_file(tmp_path: Path) -> None:
-    from hallsym.log import open_source
 
     path = tmp_path / "lab.csv"
     path.write_text("Time;HallA;Note\ns;um;\n0;1,50;ok\n1;2,50;ok\n")
@@ -240,6 +239,11 @@ def test_columns_of_one_name_are_numbered_and_answer_to_their_own(tmp_path: Path
     assert log.array("hall_b_m") == pytest.approx([2e-6, 4e-6])
     path.write_text("t_s,Hall [um],Hall [um]\n0,1,2\n1,3,4\n")
     assert read_log(path, columns={"hall_b": "Hall 2"}).array("hall_b_m") == pytest.approx([2e-6, 4e-6])
+
+
+def test_letters_of_western_europe_are_not_chinese(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_bytes("t_s;Größe [mm];créée\n0;1;2\n1;2;3\n".encode("latin-1"))
+    assert open_source(tmp_path / "log.csv").source.names == ("t_s", "Größe", "créée")
 
 
 @pytest.mark.parametrize(

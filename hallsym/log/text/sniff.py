@@ -63,9 +63,14 @@ class Dialect:
     said: str
     usual: bool
 
-    def is_remark(self, line: str, delimiter: str) -> bool:
-        """Say whether a line holds words about the table, where it has such lines."""
-        return self.remarks and _is_remark(line, delimiter, len(self.stems))
+    @property
+    def sign(self) -> str:
+        """What separates the cells of clean lines."""
+        return "\t" if self.delimiter == BLANKS else self.delimiter
+
+    def is_remark(self, line: str) -> bool:
+        """Say whether a clean line holds words about the table, where it has such lines."""
+        return self.remarks and _is_remark(line, self.sign, len(self.stems))
 
 
 def stated_delimiter(text: str) -> str:
@@ -363,8 +368,10 @@ LONGEST_LINE = 10_000_000
 """Characters of a line: 100,000 columns with long names."""
 _GZIP = b"\x1f\x8b"
 _MARK = "\ufeff"
-_HIGH = re.compile(rb"[\xa1-\xfe]+")
-"""Bytes of Chinese characters, which come in pairs; letters of Latin-1 stand alone."""
+_LATIN = re.compile(
+    rb"[\x80-\xa0]|(?<=[a-z])[\xa1-\xfe]+(?=[a-z])|(?<![\xa1-\xfe])(?:[\xa1-\xfe]{2})*[\xa1-\xfe](?![\xa1-\xfe])"
+)
+"""Bytes that Chinese characters do not have, which come in pairs and in no word: a letter alone, `Größe`."""
 _WIDE, _NARROW = 0.6, 0.1
 """Share of null bytes at even (odd) places above which text is UTF-16; nearly all are."""
 
@@ -396,7 +403,7 @@ class Encoded:
         A bad byte of UTF-8 is judged with the cell it stands in. `where` names the file in messages. Raises
         `InputError` for a line that does not end, before it fills the memory.
         """
-        errors = "replace" if self.encoding == "utf-8" else "strict"
+        errors = "replace" if self.encoding in ("utf-8", "gb18030") else "strict"
         with io.TextIOWrapper(self.raw(), self.encoding, errors) as reader:
             for _ in range(above):
                 reader.readline(LONGEST_LINE)
@@ -437,5 +444,4 @@ def _encoding(head: bytes) -> str:
         return "utf-8"
     except UnicodeDecodeError:
         pass
-    odd = any(len(run) % 2 for run in _HIGH.findall(head[: head.rfind(b"\n") + 1]))
-    return "latin-1" if odd or not _HIGH.search(head) else "gb18030"
+    return "latin-1" if _LATIN.search(head[: head.rfind(b"\n")]) else "gb18030"
