@@ -26,6 +26,9 @@ class ParquetSource(Timed):
         self.path = path
         with self._opened() as file:
             schema, self.rows = file.schema_arrow, int(file.metadata.num_rows)
+            group = file.metadata.row_group(0) if file.metadata.num_row_groups else None
+            known = [group.column(k).statistics for k in range(group.num_columns)] if group else []
+        self.filled = all(one is not None and one.null_count == 0 for one in known)
         self.small = self.rows <= IN_MEMORY_ROWS
         times = {k: "" for k, kind in enumerate(schema.types) if is_time(kind)}
         self.take(stems_of(distinct(schema.names, quoted(path))), times, quoted(path))

@@ -141,7 +141,7 @@ def by_rows(source: Source, where: str) -> Source:
 
     Columns that are filled in every row, time and run, belong to all. Any other table is returned as it is.
     """
-    columns = _head(source)
+    columns = {} if source.filled else _head(source)
     rows = {n: frozenset(k for k, c in enumerate(cells) if c not in MISSING) for n, cells in columns.items()}
     every = [name for name, filled in rows.items() if len(filled) == len(columns[name])]
     kinds = defaultdict[frozenset[int], list[str]](list)
@@ -165,7 +165,7 @@ def by_rows(source: Source, where: str) -> Source:
     return _parted(source, where, "channels in rows of their own", parts)
 
 
-MOST_NAMES = 12
+MOST_NAMES = 6
 """Columns of a table with a row per value at most: time, run, name, value, and what a database adds."""
 LOOKED_AT = 1000
 """Rows that are looked at to see whether names come again."""

@@ -35,7 +35,7 @@ class Source(ABC):
     stated. `unstated`: a question to answer before samples are read together. `read_with`: the options that
     it was read with, by name. `path`: where the file is on a disk. `ends`: time of the first and the last
     sample [s] that its format gives, and `since` what it counts from. `clocks`: columns of times, and what
-    made seconds of each as it was read.
+    made seconds of each as it was read. `filled`: whether the file says that no first cell is empty.
     """
 
     names: tuple[str, ...]
@@ -52,6 +52,7 @@ class Source(ABC):
     ends: tuple[float, float] | None = None
     since: str = ""
     clocks: Mapping[str, Any] = {}
+    filled: bool = False
 
     def count(self) -> int:
         """Return the number of rows; where it is not known before, all are read."""
