@@ -35,9 +35,9 @@ from hallsym.diagnosis.refit import Refitted
 from hallsym.diagnosis.residual_table import both
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import by_name
-from hallsym.diagnosis.selection import Selection
+from hallsym.diagnosis.selection import REFERENCE, Selection
 from hallsym.diagnosis.setup import Setup
-from hallsym.diagnosis.validation import QUIET, Validated, Validation, Verdict, closed
+from hallsym.diagnosis.validation import QUIET, Validated, Validation, Verdict, closed, unfounded
 from hallsym.diagnosis.words import SHOWN, gap_text, gap_unit, noise_text
 from hallsym.errors import InputError, counted, listed
 from hallsym.estimation.goodness_of_fit import ResidualNoise
@@ -104,9 +104,11 @@ def smaller_findings(
     selected.
     """
     out = [SmallerFinding(e.name, e.shrinkage, e.p_value) for e in below]
-    known = {h.name for h in found.effects}
+    known, here, floor = {h.name for h in found.effects}, selection.fit.metric, setup.floor_fitted.metric
     for score in by_name(selection.last):
         p, shrinkage = score.p_value, 1 - score.ratio
+        if score.effect.link == REFERENCE and unfounded(here, score.ratio * here, floor, setup.policy):
+            continue
         # larger ones were validated, and not selected
         small = setup.policy.minor * setup.threshold <= shrinkage < setup.threshold
         if p < setup.policy.certain and small and score.effect.name not in known:

@@ -23,7 +23,7 @@ from hallsym.diagnosis.record import LARGER
 from hallsym.diagnosis.refit import Refitted, inside_bounds, refit
 from hallsym.diagnosis.residuals import FOLDS, Base
 from hallsym.diagnosis.scores import bic
-from hallsym.diagnosis.selection import Exact, Selection
+from hallsym.diagnosis.selection import REFERENCE, Exact, Selection
 from hallsym.diagnosis.setup import Floor, Setup, point_on
 from hallsym.diagnosis.survey import Survey, survey
 from hallsym.estimation.goodness_of_fit import ResidualNoise, goodness_of, limit_of
@@ -154,6 +154,11 @@ class Validated:
         """Name of the effect."""
         return self.exact.name
 
+    @property
+    def blames(self) -> bool:
+        """Whether it says that the reference is wrong, and not the machine."""
+        return self.exact.score.effect.link == REFERENCE
+
 
 @dataclass(frozen=True, eq=False)
 class Validation:
@@ -267,14 +272,29 @@ def _holding(setup: Setup, selection: Selection, before: DecodedErrors) -> tuple
     """Return the effects that hold; one whose interval of the shrinkage holds zero is dropped.
 
     One that is significant by the spectrum of the noise stays: if one run carries it, no other predicts it.
+    An effect that blames the reference does not, and is dropped too where it is `unfounded`.
     """
     while True:
         effects = tuple(_validated(setup, selection, e, before) for e in selection.effects)
-        shown = [e for e in effects if e.exact.score.p_by_noise >= setup.policy.false_alarm]
+        blame = [e for e in effects if e.blames]
+        shown = [e for e in effects if e.exact.score.p_by_noise >= setup.policy.false_alarm or e in blame]
         weak = [(i[0], e.name) for e in shown if (i := e.judged.interval()) and i[0] <= 0]
+        if blame and not weak:
+            after = decoded_errors(selection.fit.base.on_all, setup.holdout).metric
+            sizes = [(e.errors.metric, e.name) for e in blame]
+            weak = [e for e in sizes if unfounded(e[0], after, setup.floor.metric, setup.policy)]
         if not weak:
             return effects
         selection.drop(*(e.exact for e in shown if e.name == min(weak)[1]))
+
+
+def unfounded(without: float, after: float, floor: float, policy: Policy) -> bool:
+    """Return whether the error that an effect takes away is no larger than the error that it leaves.
+
+    Errors as gap metric. What the model of the machine leaves open may look like an error of the reference,
+    as far as it is as large: then the reference is not to blame.
+    """
+    return without**2 - after**2 <= policy.half * (without**2 - floor**2)
 
 
 def _validated(setup: Setup, selection: Selection, effect: Exact, before: DecodedErrors) -> Validated:

@@ -25,11 +25,13 @@ COMMON = (
 """Effects of both models."""
 EFFECTS = (
     *COMMON, magnets.lost_magnet, magnets.remanence_spread, magnets.magnetisation_angle_error,
-    magnets.forbidden_harmonics, magnets.wavelength_error, ends.array_edges,
+    magnets.magnet_map, magnets.forbidden_harmonics, magnets.wavelength_error,
+    magnets.finite_width, ends.array_edges,
 )  # fmt: skip
 """Effects of the model of x and z."""
 PLANAR_EFFECTS = (
     *COMMON, mechanics.array_geometry_error, magnets.remanence_spread, magnets.magnetisation_angle_error,
-    magnets.forbidden_harmonics, magnets.wavelength_error, planar_ends.array_edges,
+    magnets.magnet_map, magnets.forbidden_harmonics, magnets.wavelength_error,
+    magnets.finite_width, planar_ends.array_edges,
 )  # fmt: skip
 """Effects of the model of six coordinates."""

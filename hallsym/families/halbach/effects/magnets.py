@@ -6,6 +6,7 @@ What is fixed to the mover repeats from run to run and moves with x; what is fix
 from collections.abc import Mapping
 from functools import cache
 from math import pi
+from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
@@ -43,78 +44,110 @@ def segments(model: Model) -> list[tuple[str, int]]:
     return out
 
 
-def of_magnets(s: Signals, model: Model, shares: Mapping[tuple[str, int], ca.SX], part: int) -> ca.SX:
-    """Return the field (channels,) that magnets add by their shares of the remanence (part 0) or turns (1).
+def of_magnets(
+    s: Signals,
+    model: Model,
+    shares: Mapping[tuple[str, int], ca.SX],
+    turns: Mapping[tuple[str, int], ca.SX] = MappingProxyType({}),
+) -> ca.SX:
+    """Return the field (channels,) that magnets add by their shares of the remanence and their turns [rad].
 
-    `shares`: by array and number, neighbours of an array from first to last.
-
-    Complex field of a magnetised rectangle in two dimensions: Bu - i Bw = -i m / (2 pi) (ln corners), m its
-    remanence; a turn multiplies m by i. Fields in V by the first harmonic of the whole array, whose remanence
-    is its amplitude over sin(pi/n) / (pi/n) (1 - exp(-k t)), n magnets of height t per period.
+    Both by array and number. Complex field of a magnetised rectangle in two dimensions:
+    Bu - i Bw = -i m / (2 pi) (ln corners), m its remanence; a turn multiplies m by i. Fields in V by the
+    first harmonic of the whole array, whose remanence is its amplitude over sin(pi/n) / (pi/n)
+    (1 - exp(-k t)), n magnets of height t per period.
     """
-    own = {
-        name: {number: share for (array, number), share in shares.items() if array == name}
-        for name in arrays(model.layout)
-    }
+    which = {name: [i for array, i in {**shares, **turns} if array == name] for name in arrays(model.layout)}
+    none = ca.SX(0)
 
     def seen_by(e: Seen) -> ca.SX:
-        array, n, of = e.array, e.array.magnets_per_period, own[e.array.name]
+        array, n, of = e.array, e.array.magnets_per_period, sorted(set(which[e.array.name]))
         if not of:
-            return ca.SX(0)
+            return none
         filled = np.sin(pi / n) / (pi / n) * (1 - np.exp(-array.wavenumber * array.height))
         size = s["amplitude"] * np.exp(array.wavenumber * array.level_m) / filled / (2 * pi)
-        field = _magnets(array, tuple(of), part)
-        return field(e.u - s["crest"], e.height, e.up, e.along, size, ca.vertcat(*of.values()))
+        made = (ca.vertcat(*(part.get((array.name, i), none) for i in of)) for part in (shares, turns))
+        return _magnets(array, tuple(of))(e.u - s["crest"], e.height, e.up, e.along, size, *made)
 
     rows = [s.functions["seen"](s, k) for k in range(len(model.channels))]
     return ca.vertcat(*(sum(map(seen_by, row), ca.SX(0)) / len(row) for row in rows))
 
 
 @cache
-def _magnets(array: Array, which: tuple[int, ...], part: int) -> ca.Function:
-    """`(u, height, up, along, size, shares) -> field`; made once, it is called often."""
+def _magnets(array: Array, which: tuple[int, ...]) -> ca.Function:
+    """`(u, height, up, along, size, shares, turns) -> field`; made once, it is called often."""
     u, height, up, along, size = symbols = [ca.SX.sym(n) for n in ("u", "height", "up", "along", "size")]
-    shares, n = ca.SX.sym("shares", len(which)), array.magnets_per_period
-    corners = []
-    for edge in (*which, which[-1] + 1):
+    n, shares, turns = array.magnets_per_period, *(ca.SX.sym(f, len(which)) for f in ("shares", "turns"))
+    corners = {}
+    for edge in sorted({*which, *(i + 1 for i in which)}):
         away = u - (edge - 0.5) * array.wavelength_m / n
         low, high = (away**2 + g**2 for g in (height, height + array.height))
-        turn = ca.atan2(away, height + array.height) - ca.atan2(away, height)  # less a constant
-        corners.append((ca.log(high / low) / 2, turn))
-    fields = []
+        # the difference of two angles as one: it has no step where the border passes over the sensor
+        turn = -ca.atan2(away * array.height, away**2 + height * (height + array.height))
+        corners[edge] = ca.log(high / low) / 2, turn
+    field = ca.SX(0)
     for j, i in enumerate(which):
-        re, im = (corners[j][c] - corners[j + 1][c] for c in (0, 1))
+        re, im = (corners[i][c] - corners[i + 1][c] for c in (0, 1))
         angle = pi / 2 - 2 * pi / n * i  # of the magnet's direction from the period's axis
         cos, sin = np.cos(angle), np.sin(angle)
         real, imag = cos * re - sin * im, sin * re + cos * im  # of m Q: Bw and Bu times 2 pi
-        fields.append(size * ((-up * imag + along * real) if part else (up * real + along * imag)))
-    return ca.Function("magnets", [*symbols, shares], [ca.dot(shares, ca.vertcat(*fields))])
+        field += shares[j] * (up * real + along * imag) + turns[j] * (along * real - up * imag)
+    return ca.Function("magnets", [*symbols, shares, turns], [size * field])
 
 
-def _of_magnets(model: Model, name: str, part: int, meaning: str, unit: str) -> Model:
-    """Each magnet differs from those of an array of the stated amplitude and place; all alike nearly are."""
+SHARE, TURN = "share of remanence beyond the array's, of magnet", "turn of the direction of magnet"
+
+
+def _of_each(model: Model, effect: str, shares: str = "", turns: str = "") -> Model:
+    """Return the model whose magnets differ by parameters of these names, `{}` the magnet's; none if empty.
+
+    Of a single array, all magnets alike are its amplitude and its place, and every second one stronger and
+    the others weaker by as much is a field on its far side alone: the two magnets in the middle of the
+    sensors stay as they are, and others are counted from them.
+    """
     which = segments(model)
     several = len(arrays(model.layout)) > 1
-    names = [f"{name}_{array}_{i}" if several else f"{name}_{i}" for array, i in which]
+    if not several:
+        del which[len(which) // 2 : len(which) // 2 + 2]
+    labels = {(array, i): f"{array}_{i}" if several else f"{i}" for array, i in which}
 
     def step(s: Signals, p: P) -> None:
-        shares = {key: p[n] for key, n in zip(which, names, strict=True)}
-        s["field"] = s["field"] + of_magnets(s, model, shares, part)
+        parts = [
+            {key: p[name.format(n)] for key, n in labels.items()} if name else {} for name in (shares, turns)
+        ]
+        s["field"] = s["field"] + of_magnets(s, model, *parts)
 
-    said = {n: f"{meaning} {n.removeprefix(name + '_').replace('_', ' ')}" for n in names}
-    return model.with_step("field", step, effect=name, parameters=free(said, LIMIT, unit))
+    new = [
+        parameter
+        for name, meaning, unit in ((shares, SHARE, "1"), (turns, TURN, "rad"))
+        if name
+        for parameter in free(
+            {name.format(n): f"{meaning} {n.replace('_', ' ')}" for n in labels.values()}, LIMIT, unit
+        )
+    ]
+    return model.with_step("field", step, effect=effect, parameters=tuple(new))
 
 
-@effect(link="field", label="each magnet", separate=(HALF_TURN, "a longer stroke"))
+@effect(link="field", label="each magnet", unless=("magnet_map",), separate=(HALF_TURN, "a longer stroke"))
 def remanence_spread(model: Model) -> Model:
     """The remanence of the magnets differs from one to the next (mover-fixed)."""
-    return _of_magnets(model, "remanence_spread", 0, "share of remanence beyond the array's, of magnet", "1")
+    return _of_each(model, "remanence_spread", shares="remanence_spread_{}")
 
 
-@effect(link="field", label="each magnet", separate=(HALF_TURN, "a longer stroke"))
+@effect(link="field", label="each magnet", unless=("magnet_map",), separate=(HALF_TURN, "a longer stroke"))
 def magnetisation_angle_error(model: Model) -> Model:
     """The directions of the magnets are off (mover-fixed)."""
-    return _of_magnets(model, "magnetisation_angle_error", 1, "turn of the direction of magnet", "rad")
+    return _of_each(model, "magnetisation_angle_error", turns="magnetisation_angle_error_{}")
+
+
+@effect(link="field", label="remanence and direction of each magnet", separate=(HALF_TURN, "a longer stroke"))
+def magnet_map(model: Model) -> Model:
+    """Each magnet has its own remanence and direction (mover-fixed): a map of the array.
+
+    Field of each magnet as a magnetised rectangle, linear in both. A magnet put in upside down has a share
+    of -2.
+    """
+    return _of_each(model, "magnet_map", "magnet_{}_remanence", "magnet_{}_turn")
 
 
 def each_magnet(model: Model, facts: Facts) -> list[Try]:
@@ -142,7 +175,7 @@ def lost_magnet(
     key, name = (next(iter(arrays(model.layout))), magnet), f"lost_{magnet}"
 
     def step(s: Signals, p: P) -> None:
-        s["field"] = s["field"] - of_magnets(s, model, {key: p[name]}, 0)
+        s["field"] = s["field"] - of_magnets(s, model, {key: p[name]})
 
     new = free({name: f"share of its remanence that magnet {magnet} lacks"}, LIMIT, "1")
     return model.with_step("field", step, effect="lost_magnet", parameters=new)
@@ -184,3 +217,27 @@ def wavelength_error(model: Model) -> Model:
 
     new = free({"longer": "share by which the wavelength is longer than nominal"}, 0.1, "1")
     return model.with_step("reference", step, effect="wavelength_error", parameters=new)
+
+
+@effect(
+    link="field",
+    label="one rate of fading",
+    separate=Way("a known step of the gap beside the reference", "a scale of z is not in it"),
+)
+def finite_width(model: Model) -> Model:
+    """The array is narrow: its field fades faster with the gap than the wavelength says.
+
+    A field of harmonic h that also changes across the array with q [rad/m] fades at the rate
+    sqrt((h k)^2 + q^2), about h k + q^2 / (2 h k) (Laplace). The second term is taken for all harmonics
+    alike: at the level of the array the first one makes 99 % of the field.
+    """
+
+    def step(s: Signals, p: P) -> None:
+        beyond = []
+        for k in range(len(model.channels)):
+            seen = s.functions["seen"](s, k)
+            beyond.append(sum((e.height - e.array.level_m for e in seen), ca.SX(0)) / len(seen))
+        s["field"] = s["field"] * ca.exp(-p["fading"] * ca.vertcat(*beyond))
+
+    new = free({"fading": "rate at which the field fades beyond that of the wavelength"}, 50.0, "1/m")
+    return model.with_step("field", step, effect="finite_width", parameters=new)
