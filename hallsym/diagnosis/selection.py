@@ -86,7 +86,7 @@ def _exact(base: Base, score: Score, runs: Sequence[int], known: Mapping[Model, 
 
 def ordered(exact: Sequence[Exact], scored: Sequence[Score], worth: Callable[[Score], bool]) -> list[Exact]:
     """Order exact refits, best first; those that are not `worth` it behind those that are."""
-    first = _machine_first(_simpler_first(sorted(exact, key=lambda e: e.bic), scored))
+    first = _simpler_first(sorted(exact, key=lambda e: e.bic), scored)
     counted = [e for e in first if worth(e.score)]
     return counted + [e for e in first if not worth(e.score)]
 
@@ -111,15 +111,6 @@ def _simpler_first(exact: list[Exact], scored: Sequence[Score]) -> list[Exact]:
 
 REFERENCE = "reference"
 """Link of the effects that say that the reference is wrong, and not the machine."""
-
-
-def _machine_first(exact: list[Exact]) -> list[Exact]:
-    """Put an effect of the machine first where the reference explains hardly more, by BIC."""
-    if not exact or exact[0].score.effect.link != REFERENCE:
-        return exact
-    limit = exact[0].bic + exact[0].fit.base.policy.as_good
-    machine = [e for e in exact if e.score.effect.link != REFERENCE and e.bic < limit]
-    return _first(min(machine, key=lambda e: e.bic), exact) if machine else exact
 
 
 def _simpler(e: Exact, best: Exact, scored: Sequence[Score]) -> bool:

@@ -362,10 +362,9 @@ QUIET = ("no gap", LARGER)
 def decide(setup: Setup, found: Validation, noise: ResidualNoise | None = None) -> Verdict:
     """Return "explained" if the named causes close the gap, "no gap" if there is neither cause nor gap.
 
-    Named causes must lower the gap by the threshold. A residual that is a gap by itself (`gap.remains`) makes
-    the verdict "unexplained", unless the causes close nearly all of the excess above the noise floor, or the
-    excess is `noise` (of the model with the found effects): then nothing remains to explain, and without a
-    cause the noise is larger than stated.
+    Named causes must lower the gap by the threshold. A residual that is a gap by itself (`remains`) makes
+    the verdict "unexplained", unless the excess is `noise` (of the model with the found effects): then
+    nothing remains to explain, and without a cause the noise is larger than stated.
     """
     before, after = found.before.metric, found.metric
     named = found.named and 1 - after / before >= setup.threshold
@@ -377,11 +376,9 @@ def decide(setup: Setup, found: Validation, noise: ResidualNoise | None = None) 
         gap = gap or metric > worth_reporting(found.floor, setup.threshold)
     if not named and not loud:
         gap = gap or material(setup, found.end)
-    if not named:
-        return "unexplained" if gap else LARGER if loud else "no gap"
-    if gap and closed(before, after, found.floor.metric) < 1 - setup.policy.minor:
+    if gap:
         return "unexplained"
-    return "explained"
+    return "explained" if named else LARGER if loud else "no gap"
 
 
 def material(setup: Setup, base: Base) -> bool:

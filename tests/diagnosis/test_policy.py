@@ -35,7 +35,7 @@ from hallsym.diagnosis.scores import Score
 from hallsym.diagnosis.selection import Exact, Selection, cancels, ordered, refitted, select
 from hallsym.diagnosis.setup import Floor, Setup
 from hallsym.diagnosis.survey import spectrum_peak, survey
-from hallsym.diagnosis.validation import decide, remains
+from hallsym.diagnosis.validation import decide, remains, unfounded
 from hallsym.families import effect_named
 from hallsym.log import Log
 from hallsym.report.results.diagnosis import shrinks_text
@@ -84,14 +84,18 @@ def validated(after: float, rest: LackOfFit) -> SimpleNamespace:
     )  # fmt: skip
 
 
-def test_a_gap_is_explained_only_where_nearly_all_is_closed():
+def test_a_gap_is_explained_only_where_the_rest_is_at_the_floor():
     setup = SimpleNamespace(threshold=LEVEL, policy=POLICY, runs=[])
     bent = shaped(0.3, 1e-6)
-    assert decide(setup, validated(2e-6, bent)) == "unexplained"  # four fifths of the excess
+    assert decide(setup, validated(1.1e-6, bent)) == "unexplained"  # 99 % of the excess is closed
     assert decide(setup, validated(2e-6, CLEAN)) == "unexplained"  # twice the floor, stated, without a shape
-    assert decide(setup, validated(1.1e-6, bent)) == "explained"
-    setup.policy = replace(POLICY, minor=0.5)
-    assert decide(setup, validated(2e-6, bent)) == "explained"
+    assert decide(setup, validated(1.05e-6, CLEAN)) == "explained"
+
+
+def test_the_reference_is_to_blame_only_for_more_than_is_left():
+    assert not unfounded(2.0, 1.4, 1.0, POLICY)  # 2.04 of an excess of 3
+    assert unfounded(2.0, 1.6, 1.0, POLICY)  # 1.44
+    assert not unfounded(2.0, 1.6, 1.0, replace(POLICY, half=0.3))
 
 
 # -- which of two effects ----------------------------------------------------------------------------------
@@ -150,12 +154,14 @@ def test_fewer_parameters_win_if_they_explain_nearly_as_much():
 def test_smaller_findings_are_certain_and_below_the_threshold():
     def scored(name: str, shrinkage: float, p: float) -> Score:
         variant = SimpleNamespace(tried=1)
-        return Score(SimpleNamespace(name=name), variant, None, 1.0, 1, 0.0, 1 - shrinkage, p)
+        link = "reference" if name == "accused" else "field"
+        return Score(SimpleNamespace(name=name, link=link), variant, None, 1.0, 1, 0.0, 1 - shrinkage, p)
 
     last = [scored("real", 0.03, 1e-6), scored("chance", 0.03, 0.02), scored("large", 0.08, 1e-6)]
-    last.append(scored("tiny", 0.004, 1e-6))
-    setup = SimpleNamespace(tested=20, threshold=LEVEL, policy=POLICY)
-    selection, found = SimpleNamespace(last=last), SimpleNamespace(effects=())
+    last += [scored("tiny", 0.004, 1e-6), scored("accused", 0.03, 1e-6)]  # 6 % of squares, of 31 % excess
+    setup = SimpleNamespace(tested=20, threshold=LEVEL, policy=POLICY, floor_fitted=FLOOR)
+    fit = SimpleNamespace(metric=1.2 * FLOOR.metric)
+    selection, found = SimpleNamespace(last=last, fit=fit), SimpleNamespace(effects=())
     assert [f.name for f in smaller_findings(setup, selection, found)] == ["real"]
     setup.policy = replace(POLICY, certain=0.1)
     assert [f.name for f in smaller_findings(setup, selection, found)] == ["real", "chance"]

@@ -130,6 +130,9 @@ def test_magnets_add_up_to_the_array(gap):
     stronger = dict.fromkeys((n for n in model.names if n.startswith("remanence")), 0.3)
     x = np.linspace(-0.01, 0.01, 7)
     plain, more = (read(model, v, x, np.full(7, gap)) for v in (array, array | stronger))
+    for i in (0, 1):  # the two that the others are counted from
+        one = magnets.lost_magnet(halbach(layout), magnet=i)
+        more = more + read(one, array | {f"lost_{i}": -0.3}, x, np.full(7, gap)) - plain
     assert np.abs(more - 1.3 * plain).max() < 0.025 * 0.3 * np.abs(plain).max()
 
 
@@ -173,6 +176,8 @@ def test_wavelength_is_scale_of_x_and_z_with_the_pitch():
         ("sensor_position_error", {"dx_1": 8e-5, "dx_7": -6e-5}),
         ("forbidden_harmonics", {"a2": 3e-3, "b2": -1e-3}),
         ("wavelength_error", {"longer": 2e-3}),
+        ("finite_width", {"fading": 3.0}),
+        ("magnet_map", {"magnet_-3_remanence": 0.05, "magnet_2_turn": 0.03, "magnet_4_remanence": -2.0}),
         ("reference_scale_error", {"scale_x": 1e-3, "scale_z": 5e-3}),
     ],
 )
