@@ -130,9 +130,6 @@ def test_magnets_add_up_to_the_array(gap):
     stronger = dict.fromkeys((n for n in model.names if n.startswith("remanence")), 0.3)
     x = np.linspace(-0.01, 0.01, 7)
     plain, more = (read(model, v, x, np.full(7, gap)) for v in (array, array | stronger))
-    for i in (0, 1):  # the two that the others are counted from
-        one = magnets.lost_magnet(halbach(layout), magnet=i)
-        more = more + read(one, array | {f"lost_{i}": -0.3}, x, np.full(7, gap)) - plain
     assert np.abs(more - 1.3 * plain).max() < 0.025 * 0.3 * np.abs(plain).max()
 
 

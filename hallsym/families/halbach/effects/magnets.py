@@ -101,13 +101,13 @@ SHARE, TURN = "share of remanence beyond the array's, of magnet", "turn of the d
 def _of_each(model: Model, effect: str, shares: str = "", turns: str = "") -> Model:
     """Return the model whose magnets differ by parameters of these names, `{}` the magnet's; none if empty.
 
-    Of a single array, all magnets alike are its amplitude and its place, and every second one stronger and
-    the others weaker by as much is a field on its far side alone: the two magnets in the middle of the
-    sensors stay as they are, and others are counted from them.
+    Where both are, all magnets of a single array alike are its amplitude and its place, and every second
+    one stronger and the others weaker by as much is a field on its far side alone: the two magnets in the
+    middle of the sensors stay as they are, and others are counted from them.
     """
     which = segments(model)
     several = len(arrays(model.layout)) > 1
-    if not several:
+    if shares and turns and not several:
         del which[len(which) // 2 : len(which) // 2 + 2]
     labels = {(array, i): f"{array}_{i}" if several else f"{i}" for array, i in which}
 
