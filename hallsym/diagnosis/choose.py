@@ -33,7 +33,7 @@ def model_on(
     Raises `InputError` for an effect that the log does not show at all, such as hum without a line.
     """
     if not isinstance(model, Model):
-        model = build(model or default_model(log.meta), meta=log.meta)
+        model = build(model or default_model(log.meta), meta=log.described)
     names = {
         p.name for p in (*model.parameters, *model.offsets)
     }  # what its effects add is changed at the end

@@ -238,7 +238,7 @@ def prepare(
 def _built(log: Log, model: str | Model | Fit | None) -> Model:
     if isinstance(model, Fit):
         model = model.model
-    return model if isinstance(model, Model) else build(model or default_model(log.meta), meta=log.meta)
+    return model if isinstance(model, Model) else build(model or default_model(log.meta), meta=log.described)
 
 
 def _pieces(log: Log, model: Model, known: Fit | None, policy: Policy) -> tuple[Log, tuple[int, ...]]:

@@ -58,7 +58,7 @@ def model_of(
     if isinstance(model, Model):
         return adapted(model, tuple(effects), parameters or {}, own)
     name = model or default_model(log.meta)
-    return build(name, meta=log.meta, added=tuple(effects), parameters=parameters, own=own)
+    return build(name, meta=log.described, added=tuple(effects), parameters=parameters, own=own)
 
 
 def checked(

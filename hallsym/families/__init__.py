@@ -133,7 +133,11 @@ def added_effects(model: Model) -> Sequence[str]:
 def same_layout(model: Model, meta: Meta) -> bool:
     """Return whether a log's `meta.json` describes the machine of `model`, or none."""
     make = model.family.maker(model.name)
-    return meta.probes is None or make is None or model.family.from_meta(make, meta).layout == model.layout
+    if meta.probes is None or make is None:
+        return True
+    both = (model.family.from_meta(make, meta).layout, model.layout)
+    mine, theirs = ([getattr(part, "stated", part) for part in layout] for layout in both)
+    return mine == theirs
 
 
 def effect_named(

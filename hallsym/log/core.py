@@ -76,6 +76,11 @@ class Log:
         return self.name if len(self.name) <= _LONGEST_NAME else f"...{self.name[3 - _LONGEST_NAME :]}"
 
     @property
+    def described(self) -> Meta:
+        """What it states of its machine, with the samples that tell what is not stated."""
+        return replace(self.meta, read=self.array)
+
+    @property
     def timed(self) -> bool:
         """Whether the log holds time."""
         return "t_s" in self.columns and not self.counted

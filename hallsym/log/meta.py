@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
+import numpy as np
 
 from hallsym.errors import InputError, nearest, quoted
 from hallsym.files import read_json
 from hallsym.records import schema_of, structured
 from hallsym.units import UNITS, quantity, split_unit
 
+SAMPLES = 1000
+"""Of a log, evenly over all of it, from which a family reads what a file does not state of its machine."""
 _MISSPELT = 0.85
 """Similarity (`difflib`) of a key to a known one above which it is that one misspelt: a letter or two."""
 Positive = Annotated[float, msgspec.Meta(gt=0, le=1e100)]
@@ -56,6 +59,16 @@ class Meta:
     raw: dict[str, Any] = field(default_factory=dict)
     columns: tuple[str, ...] = ()
     """SI columns of the log it belongs to, which say in what form the sensor was read."""
+    read: Callable[[str], np.ndarray] | None = field(default=None, repr=False)
+    """Reads a column of that log, for a machine of which a file does not state all."""
+
+    def sample(self, columns: Sequence[str], count: int = SAMPLES) -> np.ndarray:
+        """Return columns of the log (columns, samples) at `count` of its rows, (0, 0) where there is none."""
+        if self.read is None or not set(columns) <= set(self.columns):
+            return np.zeros((0, 0))
+        rows = np.array([self.read(c) for c in columns])
+        rows = rows[:, np.isfinite(rows).all(axis=0)]
+        return rows[:, np.unique(np.linspace(0, rows.shape[1] - 1, count).astype(int))]
 
     @staticmethod
     def from_dict(raw: Mapping[str, Any], where: str = "meta") -> Meta:

@@ -1,12 +1,19 @@
-"""The field of a Halbach array of finite length, and what its ends take from that of an endless one."""
+"""The field of a Halbach array of finite length and width, and what its ends take from an endless one.
 
+Where a machine states length and width, what ends take is a polynomial of the pose for each channel
+(`Ends`), fitted to the closed form of cuboids; else `missing`, in two dimensions, serves `array_edges`.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
+from itertools import product
 from math import pi
 
 import casadi as ca
 import numpy as np
 
-from hallsym.families.halbach.layout import Array
+from hallsym.families.halbach.layout import Array, Layout, Sensor, arrays, sensors
 
 HARMONICS = (1, 5, 9)
 """Of the endless array, which its magnets less its ends make; the next is below 1e-4 of the first at 3 mm."""
@@ -25,13 +32,13 @@ def magnets_of(array: Array) -> tuple[np.ndarray, np.ndarray]:
 
 def strength(array: Array, h: int) -> float:
     """Return the amplitude at the level of harmonic h of an array whose first harmonic is 1 there."""
-    n, q = array.magnets_per_period, array.wavenumber
+    return filled(array, h) / filled(array, 1) * float(np.exp((1 - h) * array.wavenumber * array.level_m))
 
-    def at_level(order: int) -> float:
-        filled = np.sin(order * pi / n) / (order * pi / n)
-        return float(filled * (1 - np.exp(-order * q * array.height)) * np.exp(-order * q * array.level_m))
 
-    return at_level(h) / at_level(1)
+def filled(array: Array, h: int) -> float:
+    """Return the amplitude of a harmonic at the face of the endless array over the remanence."""
+    share = h * pi / array.magnets_per_period
+    return float(np.sin(share) / share * (1 - np.exp(-h * array.wavenumber * array.height)))
 
 
 def finite(array: Array, u: ca.SX, gap: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -41,8 +48,7 @@ def finite(array: Array, u: ca.SX, gap: ca.SX) -> tuple[ca.SX, ca.SX]:
     cos k u and -sin k u times exp(-k (gap - level)), with small fifth and ninth harmonics.
     """
     n, q = array.magnets_per_period, array.wavenumber
-    filled = np.sin(pi / n) / (pi / n) * (1 - np.exp(-q * array.height))
-    size = float(np.exp(q * array.level_m) / filled / (2 * pi))
+    size = float(np.exp(q * array.level_m) / filled(array, 1) / (2 * pi))
     borders, numbers = magnets_of(array)
     corners = []
     for border in borders:
@@ -81,3 +87,195 @@ def missing_of(array: Array) -> ca.Function:
     u, gap = ca.SX.sym("u"), ca.SX.sym("gap")
     own, all_ = finite(array, u, gap), endless(array, u, gap)
     return ca.Function("missing", [u, gap], [own[0] - all_[0], own[1] - all_[1]])
+
+
+# -- cuboids: finite length and width --------------------------------------------------------------------
+
+
+def cuboids(array: Array, u: np.ndarray, across: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the field of the array away from its face and along its period, (n,) each, at places (n,) [m].
+
+    `u` along and `across` from its middle, `gap` below its face. In units of the first harmonic of the
+    endless array at its level. Magnets are cuboids magnetised in the plane of the period; of the charges of
+    neighbours only the differences at their borders count (Furlani, Permanent Magnet and Electromechanical
+    Devices, Academic Press 2001, section 4.2).
+    """
+    borders, directions = magnets(array)
+    along, up = (np.diff(np.r_[0.0, f(directions), 0.0]) for f in (np.cos, np.sin))
+    logarithm, below, beside = np.zeros((3, len(borders), len(u)))
+    x = borders[:, None] - u
+    for z, sign in ((gap, 1), (gap + array.height, -1)):
+        flat = x**2 + z**2
+        for side in (array.width_m / 2 - across, array.width_m / 2 + across):
+            far = np.sqrt(flat + side**2)
+            logarithm -= sign * np.arcsinh(side / np.sqrt(flat))
+            below += sign * np.arctan2(x * side, z * far)
+            beside += sign * np.arctan2(z * side, x * far)
+    size = np.exp(array.wavenumber * array.level_m) / filled(array, 1) / (4 * pi)
+    return -size * (along @ logarithm + up @ below), -size * (up @ logarithm + along @ beside)
+
+
+def magnets(array: Array) -> tuple[np.ndarray, np.ndarray]:
+    """Return the borders (n + 1,) [m] of the magnets from the middle of the array and their directions (n,).
+
+    Directions [rad] from its period's axis; the last magnets are cut where the array ends.
+    """
+    pitch, half = array.wavelength_m / array.magnets_per_period, array.length_m / 2
+    shift, reach = array.middle_magnet / 2, int(half / pitch) + 6
+    inner = (np.arange(-reach, reach + 1) + 0.5 - shift) * pitch
+    borders = np.r_[-half, inner[np.abs(inner) < half * (1 - 1e-9)], half]
+    numbers = np.round((borders[:-1] + borders[1:]) / 2 / pitch + shift)
+    return borders, pi / 2 - 2 * pi / array.magnets_per_period * numbers
+
+
+IDEAL = (1, 5, 9, 13)
+"""Harmonics of four magnets a period down to 1e-5 of the first at 3 mm."""
+
+
+def harmonics(
+    array: Array, u: np.ndarray, gap: np.ndarray, orders: Sequence[int] = IDEAL
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the same of the endless array, without sides: its harmonics."""
+    q, shift = array.wavenumber, array.middle_magnet * pi / array.magnets_per_period
+    terms = [(strength(array, h) * np.exp(-h * q * (gap - array.level_m)), h * (q * u + shift)) for h in orders]
+    return sum(a * np.cos(t) for a, t in terms), -sum(a * np.sin(t) for a, t in terms)
+
+
+LONG = 24
+"""Wavelengths of an array in whose middle its ends are not seen."""
+SIDES_DEGREE = 5
+"""Of the polynomial in the gap of what sides make of the first harmonic."""
+NOTHING = 1e-6
+"""Share of the field that does not count."""
+
+
+@cache
+def sides(array: Array, across: tuple[float, ...], gaps: tuple[float, float]) -> tuple[float, ...]:
+    """Return what sides add to the first harmonic, as a share of it, for the mean of sensors `across` [m].
+
+    Coefficients of a polynomial in the gap over the wavelength within `gaps` [m], lowest first; none where
+    the array is so wide that they add nothing. Of higher harmonics they take less than 1e-4 of the first
+    from a third of a wavelength inside on.
+    """
+    count = 8 * SIDES_DEGREE
+    places, gap = np.arange(count) * array.wavelength_m / count, np.linspace(*gaps, count)
+    u, z = (v.ravel() for v in np.meshgrid(places, gap))
+    long = replace(array, length_m=LONG * array.wavelength_m, middle_magnet=0)
+    field = np.mean([cuboids(long, u, np.full(len(u), y), z)[0] for y in across], axis=0)
+    first = field.reshape(count, count) @ np.cos(array.wavenumber * places) * 2 / count
+    share = first * np.exp(array.wavenumber * (gap - array.level_m)) - 1
+    if np.abs(share).max() < NOTHING:
+        return ()
+    fitted = np.polynomial.polynomial.polyfit(gap / array.wavelength_m, share, SIDES_DEGREE)
+    return tuple(map(float, fitted))
+
+
+MOST_DEGREE = 5
+"""Of the polynomials that ends are given by."""
+LEAVES = 3e-5
+"""Share of the amplitude (rms) that they may leave: .02 mV of .6 V, the uncertainty of an offset of a usual log
+(1 mV of noise, some thousand samples). The ideal array's own seventeenth harmonic is 1e-5 at 3 mm."""
+MARGIN = 1 / 12
+"""Wavelengths by which polynomials reach beyond the box: magnets are where the fitted phase says."""
+
+
+@dataclass(frozen=True, eq=False)
+class Polynomial:
+    """What the ends take at a channel over a box: `c` (2, terms), away from the face and along the period.
+
+    Terms are products of `powers` (terms, n) of (v - middle) / half.
+    """
+
+    powers: np.ndarray
+    middle: np.ndarray
+    half: np.ndarray
+    c: np.ndarray
+
+    def __call__(self, variables: Sequence[ca.SX]) -> tuple[ca.SX, ca.SX]:
+        """Return both components at a place."""
+        each = []
+        for value, middle, half, highest in zip(
+            variables, self.middle, self.half, self.powers.max(axis=0), strict=True
+        ):
+            row = [ca.SX(1)]
+            while len(row) <= highest:
+                row.append(row[-1] * (value - float(middle)) / float(half))
+            each.append(row)
+        terms = []
+        for powers in self.powers.tolist():
+            term = ca.SX(1)
+            for row, n in zip(each, powers, strict=True):
+                term = term * row[n] if n else term
+            terms.append(term)
+        up, along = (ca.dot(ca.DM(row), ca.vertcat(*terms)) for row in self.c)
+        return up, along
+
+
+Taken = Callable[[np.ndarray], np.ndarray]
+"""Places (n, m) -> what ends take there, away from the face and along the period (2, m)."""
+SPREAD = np.array([0.7548776662466927, 0.5698402909980532, 0.8191725133961644])
+"""Steps, in units of the box, of places that fill it evenly: powers of the roots of x^3 = x + 1, x^4 = x + 1."""
+
+
+def least_degree(box: np.ndarray, of: Sequence[Taken], most: int = MOST_DEGREE) -> tuple[Polynomial, ...] | None:
+    """Return polynomials over a box (n, 2), of the least total degree that leaves less than `LEAVES` of each.
+
+    None where that takes more than `most`.
+    """
+    (low, high), n = box.T, len(box)
+    middle, half = (low + high) / 2, (high - low) / 2
+    powers = np.array(sorted(product(range(most + 1), repeat=n), key=sum))
+    powers = powers[powers.sum(axis=1) <= most]
+    # from the ends of the box inwards, where polynomials err most
+    t = np.cos(pi * (np.arange(1, OVER * len(powers) + 1) * SPREAD[:n, None] % 1))
+    seen = np.array([f(middle[:, None] + half[:, None] * t) for f in of])
+    for degree in range(2, most + 1):
+        own = powers[powers.sum(axis=1) <= degree]
+        design = np.prod(t[:, None] ** own.T[:, :, None], axis=0).T
+        c = np.einsum("tm,kcm->kct", np.linalg.pinv(design), seen)
+        free = t.shape[1] - len(own)
+        left = np.sqrt(np.sum((seen - c @ design.T)[:, 0] ** 2, axis=1) / free)
+        if left.max(initial=0.0) < LEAVES:
+            return tuple(Polynomial(own, middle, half, row) for row in c)
+    return None
+
+
+OVER = 3
+"""Places a term of a polynomial is fitted to."""
+
+
+@cache
+def along(layout: Layout, turn: int = 1) -> tuple[Polynomial, ...] | None:
+    """Return what the ends of the only array take at each channel, over x and gap [m].
+
+    At an amplitude of 1, with its middle where the layout says; `turn`: -1 where the mover is turned half
+    round. None where polynomials of low degree do not give it: near the ends.
+    """
+    (array,) = arrays(layout).values()
+    low, high, *gaps = array.box
+    margin = MARGIN * array.wavelength_m
+    box = np.array([[low - margin, high + margin], gaps])
+    return least_degree(box, [taken_at(array, sensor, turn) for sensor in sensors(layout)])
+
+
+def taken_at(array: Array, sensor: Sensor, turn: int = 1) -> Taken:
+    """Return what ends take at a channel of x and gap: finite array less the endless one of its width."""
+    (gap_low, gap_high), across = array.box[-2:], across_of(array, sensor, turn)
+    share = (*sides(array, across, (gap_low, gap_high)), 0.0)
+
+    def taken(at: np.ndarray) -> np.ndarray:
+        x, gap = at
+        total = np.zeros((2, len(x)))
+        wider = np.polynomial.polynomial.polyval(gap / array.wavelength_m, share)
+        for (place, _), y in zip(sensor.positions, across, strict=True):
+            u = turn * (place - x) - array.middle
+            total += np.subtract(cuboids(array, u, np.full(len(x), y), gap), harmonics(array, u, gap))
+            total -= wider * np.array(harmonics(array, u, gap, (1,)))
+        return total / len(across)
+
+    return taken
+
+
+def across_of(array: Array, sensor: Sensor, turn: int = 1) -> tuple[float, ...]:
+    """Return the places of the elements of a channel from the centre line of the array [m]."""
+    return tuple(turn * y - array.centre[1] for _, y in sensor.positions)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 from typing import Any
 
@@ -16,6 +16,8 @@ import numpy as np
 
 from hallsym.errors import InputError
 
+USUAL_TRAVEL, USUAL_GAPS = 0.7, (0.1, 0.45)
+"""Travel to both sides and gaps, in wavelengths, of a machine of which no log says them."""
 LEAKS = 0.02
 """Share of the field of a crossing array that sums of sensors may leave: that of a pitch 0.8 % off."""
 
@@ -55,6 +57,11 @@ class Array:
 
     `centre`: on the mover, (x, y) [m]. `thickness_m`: height of the magnets, by default that of square ones.
     `level_m`: gap at which amplitudes are stated.
+
+    `ends`: whether a model has the ends of the array. `middle_magnet`: which magnet is at its middle, in half
+    magnets from the one that points to the sensors; odd: the border of two. `known_m`: least and greatest x
+    (of six coordinates also y) and gap over which a model has the ends; empty for the usual travel.
+    `middle_m`: place of its middle beside its centre when the mover is at zero.
     """
 
     name: str
@@ -66,6 +73,10 @@ class Array:
     thickness_m: float = 0.0
     magnets_per_period: int = 4
     level_m: float = 5e-3
+    ends: bool = False
+    middle_magnet: int = 0
+    known_m: tuple[float, ...] = ()
+    middle_m: float = 0.0
 
     @property
     def label(self) -> str:
@@ -79,8 +90,25 @@ class Array:
             "name": self.name, "periodic_along": self.along, "centre_m": list(self.centre),
             "length_m": self.length_m, "width_m": self.width_m, "wavelength_m": self.wavelength_m,
             "thickness_m": self.thickness_m, "magnets_per_period": self.magnets_per_period,
-            "level_m": self.level_m,
+            "level_m": self.level_m, "ends": self.ends, "middle_magnet": self.middle_magnet,
+            "known_m": list(self.known_m), "middle_m": self.middle_m,
         }  # fmt: skip
+
+    @property
+    def stated(self) -> Array:
+        """The array as a file states it, without what a log has told of it."""
+        return replace(self, ends=False, middle_magnet=0, known_m=(), middle_m=0.0)
+
+    @property
+    def middle(self) -> float:
+        """Place of its middle along it when the mover is at zero [m]."""
+        return self.centre[self.axis] + self.middle_m
+
+    @property
+    def box(self) -> tuple[float, ...]:
+        """Least and greatest x and gap [m] over which a model has the ends."""
+        wave = self.wavelength_m
+        return self.known_m or (-USUAL_TRAVEL * wave, USUAL_TRAVEL * wave, *(g * wave for g in USUAL_GAPS))
 
     @property
     def wavenumber(self) -> float:
@@ -135,21 +163,24 @@ def part_of(entry: Mapping[str, Any], wavelength_m: float | None = None) -> Sens
             )
         return Sensor(str(entry["channel"]), points, str(entry.get("array", "")))
     known = {"name", "periodic_along", "centre_m", "length_m", "width_m", "wavelength_m", "thickness_m",
-             "magnets_per_period", "level_m"}  # fmt: skip
+             "magnets_per_period", "level_m", "ends", "middle_magnet", "known_m",
+             "middle_m"}  # fmt: skip
     wrong = [key for key in entry if key not in known]
     along = entry.get("periodic_along", "x")
     if wrong or along not in ("x", "y"):
         said = f"it has '{wrong[0]}'" if wrong else f"periodic_along is {along!r}"
         raise InputError(
             "An array may have name, periodic_along (x or y), centre_m, length_m, width_m, wavelength_m, "
-            f"thickness_m, magnets_per_period and level_m; {said}."
+            f"thickness_m, magnets_per_period, level_m, ends and middle_magnet; {said}."
         )
     stated = {key: _positive(entry[key], key) for key in _SIZES if key in entry}
     stated.setdefault("wavelength_m", 0.03 if wavelength_m is None else wavelength_m)
     centre = entry.get("centre_m", (0.0, 0.0))
     return Array(
         str(entry.get("name", along.upper())), along=along, centre=_point(centre),
-        magnets_per_period=int(entry.get("magnets_per_period", 4)), **stated,
+        magnets_per_period=int(entry.get("magnets_per_period", 4)), ends=entry.get("ends") is True,
+        middle_magnet=int(entry.get("middle_magnet", 0)), known_m=tuple(entry.get("known_m", ())),
+        middle_m=float(entry.get("middle_m", 0.0)), **stated,
     )  # fmt: skip
 
 

@@ -11,6 +11,7 @@ add gains, offsets, places, tilts, other harmonics, magnets that differ, and edg
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -18,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.families.halbach import links
+from hallsym.families.halbach import finite, links
 from hallsym.families.halbach.checks import inspect
 from hallsym.families.halbach.layout import (
     Array,
@@ -132,6 +133,50 @@ def field(s: Signals, p: Mapping[str, ca.SX], layout: Layout) -> None:
             for k in range(len(s["moved"]))
         )
     )
+    if array_of(layout).ends:
+        s["ends"] = ends(s, p, layout)
+        s["field"] = s["field"] + s["ends"] + beside(s, p, layout)
+
+
+def ends(s: Signals, p: Mapping[str, ca.SX], layout: Layout) -> ca.SX:
+    """Return what the ends of the array take at each channel.
+
+    Its magnets are where the phase of the first harmonic says: its middle lies `shift` beside the nominal one.
+    What moves or places sensors otherwise counts to first order: ends are a percent, and smooth.
+    """
+    array, turn = array_of(layout), s["turn"]
+    aim = array.middle_magnet * np.pi / array.magnets_per_period - array.wavenumber * array.middle
+    cos, sin = float(np.cos(aim)), float(np.sin(aim))
+    phase = ca.atan2(sin * p["a1"] - cos * p["b1"], cos * p["a1"] + sin * p["b1"])
+    shift, rows = turn * phase / array.wavenumber, []
+    x, z = (ca.SX.sym(n) for n in "xz")
+    for k, polynomial in enumerate(finite.along(layout, turn) or ()):
+        slope = s["tilted"][k][0]
+        up, along = polynomial((x, z))
+        seen = up if slope.is_zero() else up * ca.cos(slope) + turn * along * ca.sin(slope)
+        by = [s["moved"][k][c] - s["placed"][k][i] for c, i in (("x_m", 0), ("z_m", 2))]
+        if not all(b.is_zero() for b in by):
+            seen = seen + ca.jtimes(seen, ca.vertcat(x, z), ca.vertcat(*by))
+        rows.append(ca.substitute(seen, ca.vertcat(x, z), ca.vertcat(s["x_m"] + shift, s["z_m"])))
+    return s["amplitude"] * ca.vertcat(*rows)
+
+
+def beside(s: Signals, p: Mapping[str, ca.SX], layout: Layout) -> ca.SX:
+    """Return what the sides of the array add to the first harmonic at each channel."""
+    array = array_of(layout)
+    across = [finite.across_of(array, sensor, s["turn"]) for sensor in sensors(layout)]
+    out = [ca.SX(0)] * len(across)
+    for number, own in enumerate(dict.fromkeys(across)):
+        share = finite.sides(array, own, array.box[2:])
+        if not share:
+            continue
+        gap = s["z_m"] / array.wavelength_m
+        wider = sum(c * gap**n for n, c in enumerate(share))
+        cos, sin = waves(s, layout, 1, wider, f"side {number} ")
+        for k in range(len(across)):
+            if across[k] == own:
+                out[k] = p["a1"] * cos[k] + s["turn"] * p["b1"] * sin[k]
+    return ca.vertcat(*out)
 
 
 def harmonic(s: Signals, layout: Layout, k: int, h: int, a: ca.SX, b: ca.SX) -> ca.SX:
@@ -148,16 +193,19 @@ def harmonic(s: Signals, layout: Layout, k: int, h: int, a: ca.SX, b: ca.SX) -> 
     return vertical if slope.is_zero() else ca.cos(slope) * vertical + ca.sin(slope) * along
 
 
-def waves(s: Signals, layout: Layout, h: int) -> tuple[ca.SX, ca.SX]:
+def waves(
+    s: Signals, layout: Layout, h: int, share: ca.SX | None = None, named: str = ""
+) -> tuple[ca.SX, ca.SX]:
     """Return exp(-h k (z - level)) cos h k (x - x_j) and the sine of it, (channels,): means of the elements.
 
-    What is moved or placed otherwise turns and scales the waves of the logged x and z: exactly.
+    What is moved or placed otherwise turns and scales the waves of the logged x and z: exactly. With a `share`
+    that follows z they are times that, and are called `named`.
     """
     array, places = array_of(layout), [[x for x, _ in sensor.positions] for sensor in sensors(layout)]
     q = h * array.wavenumber
-    fade = ca.exp(-q * (s["z_m"] - array.level_m))
+    fade = ca.exp(-q * (s["z_m"] - array.level_m)) * (1 if share is None else share)
     cosine, sine = (
-        s.derive(f"fade {h} * {f.__name__} {h}kx", fade * f(q * s["x_m"])) for f in (ca.cos, ca.sin)
+        s.derive(f"{named}fade {h} * {f.__name__} {h}kx", fade * f(q * s["x_m"])) for f in (ca.cos, ca.sin)
     )
     along, up = (
         ca.vertcat(*(m[c] for m in s["moved"])) - ca.vertcat(*(at[i] for at in s["placed"]))
@@ -260,14 +308,14 @@ def from_meta(make: Callable[..., Model], meta: Meta) -> Model:
     `sensor_pitch_m`, `columns` (those of the log otherwise), `column_x_m` a list of places, in the middle of
     the board otherwise, `rows_summed`, `periods`.
     """
-    stated = [*(meta.probes or ()), *meta.raw.get("arrays", ())]
+    stated = [*(meta.probes or ()), *map(with_ends, meta.raw.get("arrays", ()))]
     nominal = {k: v for k, v in meta.nominal.items() if not isinstance(v, str)}
     changes = {k: {"nominal": float(v)} for k, v in nominal.items() if k in halbach().names}
     wavelength = _number(nominal, "lambda_m", WAVELENGTH_M)
     found = [part_of(entry, wavelength) for entry in stated]
     if any(isinstance(part, Sensor) for part in found):
         own = (*sensors(found), *(arrays(found).values() or [Array("X", wavelength)]))
-        return make(own).with_parameters(changes)
+        return make(_settled(own, meta)).with_parameters(changes)
     names = sorted((c for c in meta.columns if _is_column(c)), key=lambda c: int(c.split("_")[1]))
     if not names and not stated and "columns" not in nominal and "column_x_m" not in nominal:
         return make().with_parameters(changes)
@@ -286,7 +334,62 @@ def from_meta(make: Callable[..., Model], meta: Meta) -> Model:
     about = {"length_m": wavelength * _number(nominal, "periods", 8.0)}
     layout = columns(places, wavelength, names, **about)
     layout = (*sensors(layout), *(arrays(found) or arrays(layout)).values())
-    return make(layout).with_parameters(changes)
+    return make(_settled(layout, meta)).with_parameters(changes)
+
+
+def with_ends(entry: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the entry of an array in a file, with its ends where it states length and width."""
+    return {"ends": "length_m" in entry and "width_m" in entry, **entry}
+
+
+def _settled(layout: Layout, meta: Meta) -> Layout:
+    """Return the layout with what its log says of the ends of the array: travel, and which magnet is in the middle.
+
+    A file states that magnet by `middle_magnet`. Without a log it points to the sensors.
+    """
+    array = array_of(layout)
+    if not array.ends or array.known_m:
+        return layout
+    log = meta.sample((*REFERENCES, *(s.channel for s in sensors(layout))))
+    if len(log):
+        stated = any("middle_magnet" in entry for entry in meta.raw.get("arrays", ()))
+        array = replace(array, known_m=tuple(float(f(v)) for v in log[:2] for f in (np.min, np.max)))
+        array = _middle((*sensors(layout), array), log, (array.middle_magnet,) if stated else None)
+    layout = (*sensors(layout), array)
+    return layout if finite.along(layout) else (*sensors(layout), array.stated)
+
+
+def _middle(layout: Layout, log: np.ndarray, among: Sequence[int] | None) -> Array:
+    """Return the array with the magnet in its middle, one of `among`, that a log (2 + channels, samples) tells.
+
+    The likelihood of each, where gain, offset, place and harmonics of each channel are its own: the field is
+    linear in all but the place of the middle, which the phase of the first harmonic says for each magnet.
+    """
+    array, (x, z, *readings) = array_of(layout), log
+    q, half = array.wavenumber, np.pi / array.magnets_per_period
+    columns = [np.ones(len(x))]
+    for h in HARMONICS:
+        columns += [np.exp(-h * q * (z - array.level_m)) * f(h * q * x) for f in (np.cos, np.sin)]
+    design, v = np.array(columns).T, np.array(readings).T
+    waves = np.linalg.lstsq(design, v, rcond=None)[0]
+    at = np.array([np.mean([np.exp(1j * q * place) for place, _ in s.positions]) for s in sensors(layout)])
+    first = complex(np.sum((waves[1] + 1j * waves[2]) * at.conj()) / np.sum(np.abs(at) ** 2))
+    found = []
+    for magnet in range(2 * array.magnets_per_period) if among is None else among:
+        turned = np.angle(np.exp(1j * (magnet * half - np.angle(first) - q * array.middle)))
+        own = replace(array, middle_magnet=magnet, middle_m=array.middle_m + float(turned) / q)
+        taken = np.array([finite.taken_at(own, s)(np.array([x, z]))[0] for s in sensors(layout)]).T
+        rest = v - abs(first) * taken
+        rest = rest - design @ np.linalg.lstsq(design, rest, rcond=None)[0]
+        found.append((float(len(x) * np.log(np.mean(rest**2, axis=0)).sum()), abs(own.middle_m), own))
+    best = min(found, key=lambda one: one[0])
+    near = min(found, key=lambda one: one[1])
+    return (best if best[0] < near[0] - CERTAIN else near)[2]
+
+
+CERTAIN = 16.0
+"""Twice the logarithm of a likelihood ratio from which on a magnet is taken that the zero of the reference does not
+say: four standard deviations."""
 
 
 def _is_column(name: str) -> bool:
