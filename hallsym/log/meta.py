@@ -16,7 +16,7 @@ from hallsym.files import read_json
 from hallsym.records import schema_of, structured
 from hallsym.units import UNITS, quantity, split_unit
 
-SAMPLES = 1000
+SAMPLES = 20_000
 """Of a log, evenly over all of it, from which a family reads what a file does not state of its machine."""
 _MISSPELT = 0.85
 """Similarity (`difflib`) of a key to a known one above which it is that one misspelt: a letter or two."""

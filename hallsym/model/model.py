@@ -156,6 +156,9 @@ class Model:
     inspect: "Callable[..., Inspection] | None" = None
     """`(model, log, fitted=True)`: the family's pre-fit check of a log that is fitted, or evaluated. Raises
     `InputError`."""
+    nearly: bool = False
+    """Whether readings have the form that generated code decodes nearly only, such as a wave that has ends:
+    the code then says what that leaves of the pose, where it refuses other forms otherwise."""
     before: "Model | None" = field(default=None, repr=False)
     """The model that this one was made from; it shares the expressions up to the first step that differs."""
 

@@ -152,7 +152,7 @@ def phasor(
     columns = list(model.pose)
     sample = Sample(model, p, np.zeros(len(columns)), ends, columns.index(height))
     window = Window.of_period(sample, columns.index(along), range(len(model.channels)))
-    return phasor_of(window, range(len(model.channels)), weight)
+    return phasor_of(window, range(len(model.channels)), weight, exact=not model.nearly)
 
 
 class Sample:
@@ -242,9 +242,11 @@ class Window:
 
     @classmethod
     def of_period(cls, sample: Sample, axis: int, channels: Sequence[int]) -> "Window":
-        """Return the window of waves that do not end: a period from the middle on."""
+        """Return the window of waves that do not end: a period from the middle on, or about it where they
+        are waves nearly."""
         lc = sample.lc(axis)
-        return cls(sample, axis, channels, period_of(lc), np.zeros(len(channels)), lc)
+        x = period_of(lc) - (pi * lc if sample.model.nearly else 0.0)
+        return cls(sample, axis, channels, x, np.zeros(len(channels)), lc)
 
     def fitted(
         self, some: Sequence[int] | None = None, move: np.ndarray | None = None, settle: bool = False

@@ -8,6 +8,7 @@ readings (`lowering.phasors`).
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from math import pi
 
 import casadi as ca
@@ -33,6 +34,8 @@ from hallsym.codegen.lowering.remainders import Seen, contradictions
 from hallsym.codegen.lowering.wave_steps import Pair, Wave
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
+from hallsym.model.arrays import on_arrays
+from hallsym.records import named
 
 ENOUGH = 6e-7
 """Place and height [m] that rounds and polynomials may leave: an eighth of what a gain off by a thousandth
@@ -66,7 +69,7 @@ def decoupler(
     own = replace(model, period={**model.period, along: 2 * pi * found.lc})
     ends = box.ends[height]
     drawn = residual.drawn_of(model, np.asarray(p, dtype=float), box)
-    return _Assembly(own, wave_steps.wave_of(found, ends, aim), box, along, height, weight, drawn).make()
+    return _Assembly(own, wave_steps.wave_of(found, ends, aim), box, along, height, weight, drawn, p).make()
 
 
 def _coordinates(model: Model) -> tuple[str, str]:
@@ -105,6 +108,7 @@ class _Assembly:
     height: str
     weight: np.ndarray
     drawn: Callable[[np.random.Generator, int], np.ndarray]
+    p: np.ndarray
     made: Collected = field(default_factory=Collected)
 
     def make(self) -> Decoupler:
@@ -132,7 +136,7 @@ class _Assembly:
                 *((residual.flag(),) if redundancy else ()),
             ),
             redundancy=redundancy, drawn=self.drawn if redundancy else None,
-            approximation=found.lc * wave.error + ROUNDED,
+            approximation=found.lc * wave.error + ROUNDED, leaves=self.leaves,
             bounded=Rounding(wave, model.pose, self.along, to_vector, values),
             listed=self._listed(), said=self._said(), evident=False,
         )  # fmt: skip
@@ -168,6 +172,25 @@ class _Assembly:
         place, height = self.wave.phasor.pose(self.wave.phasor.solved(np.asarray(readings, dtype=float)))
         return np.array([place if c == self.along else height for c in self.model.pose])
 
+    @cached_property
+    def leaves(self) -> dict[str, float]:
+        """What is left of each coordinate of readings that are a wave nearly, met over trial poses."""
+        found, model = self.wave.phasor, self.model
+        if not model.nearly:
+            return {}
+        at = self.at(np.random.default_rng(13), TRIALS)
+        place, height = found.pose(found.solved(on_arrays(model.reading)(self.p, [], list(at), [])[0]))
+        off = np.array([place if c == self.along else height for c in model.pose]) - at
+        k, whole = model.pose.index(self.along), 2 * pi * found.lc
+        off[k] -= whole * np.round(off[k] / whole)
+        own = found.lc * self.wave.error + ROUNDED
+        return named(model.pose, wave_steps.SAFE * np.abs(off).max(axis=1) + own)
+
+    def at(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Return random poses (n_pose, count) of the box."""
+        low, high = np.array([self.given.ends[c] for c in self.model.pose]).T[..., None]
+        return np.asarray(low + (high - low) * rng.random((len(self.model.pose), count)))
+
     def _listed(self) -> tuple[tuple[float, ...], ...]:
         """No field, the seams of the quadrants and of the period, and both ends of the heights."""
         found = self.wave.phasor
@@ -191,6 +214,8 @@ class _Assembly:
                 f"{counted(wave.rounds, 'round')}{along} take harmonics {names} off, and leave at most "
                 f"{wave.left * lc:.2g} m (proved)."
             )
+        if self.leaves:
+            out += wave_steps.measured("What ends and sides of the array do", self.leaves, TRIALS)
         return tuple(out)
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.families.halbach.finite import missing_of
+from hallsym.families.halbach.finite import MARGIN, missing_of
 from hallsym.families.halbach.layout import Array, Sensor, arrays, sensors
 from hallsym.log import Fault
 from hallsym.model import Inspection, Model, on_arrays
@@ -37,7 +37,9 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
     if fitted:
         along = model.references[: 2 if planar else 1]
         odd += _travel(along, pose, next(iter(known.values())).wavelength_m, log.name)
-    if not beyond and "array_edges" not in model.effects:
+    if any(array.ends for array in known.values()):
+        odd += _of_ends(known, pose, log.name)
+    elif not beyond and "array_edges" not in model.effects:
         odd += _left_out(model, known, pose, planar)
     return Inspection(tuple(odd))
 
@@ -64,6 +66,8 @@ def _travel(columns: Sequence[str], pose: np.ndarray, wave: float, name: str) ->
 def _covered(model: Model, known: dict[str, Array], pose: np.ndarray, name: str) -> Iterator[Fault]:
     """Claim sensors that the array hardly is over, unless the model knows the ends of the array."""
     (array,) = known.values()
+    if array.ends:
+        return
     places = np.array([s.middle[0] for s in sensors(model.layout)])
     share = np.mean(np.abs(places[:, None] - pose[0]) < array.length_m / 2, axis=1)
     least = int(np.argmin(share))
@@ -77,6 +81,27 @@ def _covered(model: Model, known: dict[str, Array], pose: np.ndarray, name: str)
             "beyond",
             (sensor.channel,),
         )
+
+
+def _of_ends(known: dict[str, Array], pose: np.ndarray, name: str) -> Iterator[str]:
+    """Claim places at which a model does not know the ends of its array; note ends that the log hardly tells."""
+    for array in known.values():
+        # of six coordinates the travel is that of the sensors in the mover
+        seen = pose if len(pose) == 2 else pose[:3] * [[-1], [-1], [1]]
+        box, room = array.box(len(seen) - 1), MARGIN * array.wavelength_m
+        over = np.maximum(box[:, :1] - seen, seen - box[:, 1:]).max()
+        if over > room:
+            text = (
+                f"The mover of {name} goes {1e3 * over:.3g} mm beyond the travel over which the model knows "
+                f"what the ends of array {array.name} take; fit this log by itself."
+            )
+            yield Fault(text, "beyond")
+        if array.rival:
+            yield (
+                f"Which magnet is in the middle of array {array.name}, {array.middle_magnet} or "
+                f"{array.other.middle_magnet} (half magnets from the one that points to the sensors), the "
+                "readings hardly tell: offsets are less certain than with 'middle_magnet' stated."
+            )
 
 
 def _left_out(model: Model, known: dict[str, Array], pose: np.ndarray, planar: bool) -> Iterator[str]:

@@ -8,12 +8,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
-from math import pi
+from math import pi, prod
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from hallsym.families.halbach.layout import Array, Layout, Sensor, arrays, sensors
+from hallsym.families.halbach.layout import Array, Layout, Sensor, arrays, opposite, sensors
 
 HARMONICS = (1, 5, 9)
 """Of the endless array, which its magnets less its ends make; the next is below 1e-4 of the first at 3 mm."""
@@ -150,15 +151,14 @@ NOTHING = 1e-6
 
 
 @cache
-def sides(array: Array, across: tuple[float, ...], gaps: tuple[float, float]) -> tuple[float, ...]:
+def sides(array: Array, across: tuple[float, ...]) -> tuple[float, ...]:
     """Return what sides add to the first harmonic, as a share of it, for the mean of sensors `across` [m].
 
-    Coefficients of a polynomial in the gap over the wavelength within `gaps` [m], lowest first; none where
-    the array is so wide that they add nothing. Of higher harmonics they take less than 1e-4 of the first
+    Coefficients of a polynomial in the gap over the wavelength, lowest first; none where the array is so wide that they add nothing. Of higher harmonics they take less than 1e-4 of the first
     from a third of a wavelength inside on.
     """
     count = 8 * SIDES_DEGREE
-    places, gap = np.arange(count) * array.wavelength_m / count, np.linspace(*gaps, count)
+    places, gap = np.arange(count) * array.wavelength_m / count, np.linspace(*array.box()[1], count)
     u, z = (v.ravel() for v in np.meshgrid(places, gap))
     long = replace(array, length_m=LONG * array.wavelength_m, middle_magnet=0)
     field = np.mean([cuboids(long, u, np.full(len(u), y), z)[0] for y in across], axis=0)
@@ -170,20 +170,22 @@ def sides(array: Array, across: tuple[float, ...], gaps: tuple[float, float]) ->
     return tuple(map(float, fitted))
 
 
-MOST_DEGREE = 5
+MOST_DEGREE = 6
 """Of the polynomials that ends are given by."""
 LEAVES = 3e-5
 """Share of the amplitude (rms) that they may leave: .02 mV of .6 V, the uncertainty of an offset of a usual log
 (1 mV of noise, some thousand samples). The ideal array's own seventeenth harmonic is 1e-5 at 3 mm."""
+NARROW = 0.05
+"""Gap over the wavelength below which higher harmonics than those known are in what ends take."""
 MARGIN = 1 / 12
 """Wavelengths by which polynomials reach beyond the box: magnets are where the fitted phase says."""
 
 
 @dataclass(frozen=True, eq=False)
 class Polynomial:
-    """What the ends take at a channel over a box: `c` (2, terms), away from the face and along the period.
+    """A share of the amplitude over a box: sum of `c` (terms,) times products of powers of (v - middle) / half.
 
-    Terms are products of `powers` (terms, n) of (v - middle) / half.
+    `powers`: (terms, n).
     """
 
     powers: np.ndarray
@@ -191,33 +193,39 @@ class Polynomial:
     half: np.ndarray
     c: np.ndarray
 
-    def __call__(self, variables: Sequence[ca.SX]) -> tuple[ca.SX, ca.SX]:
-        """Return both components at a place."""
+    def __call__(self, variables: Sequence[Any]) -> Any:
+        """Return the share at a place (n,), of symbols or arrays."""
         each = []
         for value, middle, half, highest in zip(
             variables, self.middle, self.half, self.powers.max(axis=0), strict=True
         ):
-            row = [ca.SX(1)]
+            row = [0 * value + 1]
             while len(row) <= highest:
-                row.append(row[-1] * (value - float(middle)) / float(half))
+                row.append(row[-1] * ((value - float(middle)) / float(half)))
             each.append(row)
-        terms = []
-        for powers in self.powers.tolist():
-            term = ca.SX(1)
-            for row, n in zip(each, powers, strict=True):
-                term = term * row[n] if n else term
-            terms.append(term)
-        up, along = (ca.dot(ca.DM(row), ca.vertcat(*terms)) for row in self.c)
-        return up, along
+        powers = zip(self.c.tolist(), self.powers.tolist(), strict=True)
+        return sum(c * prod(row[n] for row, n in zip(each, own, strict=True) if n) for c, own in powers)
 
 
-Taken = Callable[[np.ndarray], np.ndarray]
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """What ends take at a channel, away from the face of the array and along its period."""
+
+    up: Polynomial
+    along: Polynomial
+
+
+Field = Callable[[np.ndarray], np.ndarray]
 """Places (n, m) -> what ends take there, away from the face and along the period (2, m)."""
 SPREAD = np.array([0.7548776662466927, 0.5698402909980532, 0.8191725133961644])
 """Steps, in units of the box, of places that fill it evenly: powers of the roots of x^3 = x + 1, x^4 = x + 1."""
+OVER = 3
+"""Places a term of a polynomial is fitted to."""
+TILTED = 0.03
+"""Largest tilt [rad] at which sensors see the field along the period, and that polynomial leaves as much."""
 
 
-def least_degree(box: np.ndarray, of: Sequence[Taken], most: int = MOST_DEGREE) -> tuple[Polynomial, ...] | None:
+def least_degree(box: np.ndarray, of: Sequence[Field], most: int = MOST_DEGREE) -> tuple[Taken, ...] | None:
     """Return polynomials over a box (n, 2), of the least total degree that leaves less than `LEAVES` of each.
 
     None where that takes more than `most`.
@@ -228,40 +236,39 @@ def least_degree(box: np.ndarray, of: Sequence[Taken], most: int = MOST_DEGREE) 
     powers = powers[powers.sum(axis=1) <= most]
     # from the ends of the box inwards, where polynomials err most
     t = np.cos(pi * (np.arange(1, OVER * len(powers) + 1) * SPREAD[:n, None] % 1))
-    seen = np.array([f(middle[:, None] + half[:, None] * t) for f in of])
-    for degree in range(2, most + 1):
-        own = powers[powers.sum(axis=1) <= degree]
-        design = np.prod(t[:, None] ** own.T[:, :, None], axis=0).T
-        c = np.einsum("tm,kcm->kct", np.linalg.pinv(design), seen)
-        free = t.shape[1] - len(own)
-        left = np.sqrt(np.sum((seen - c @ design.T)[:, 0] ** 2, axis=1) / free)
-        if left.max(initial=0.0) < LEAVES:
-            return tuple(Polynomial(own, middle, half, row) for row in c)
-    return None
-
-
-OVER = 3
-"""Places a term of a polynomial is fitted to."""
+    seen = np.array([f(middle[:, None] + half[:, None] * t) for f in of]).swapaxes(0, 1)
+    found = []
+    for component, leaves in zip(seen, (LEAVES, LEAVES / TILTED), strict=True):
+        for degree in range(1, most + 1):
+            own = powers[powers.sum(axis=1) <= degree]
+            design = np.prod(t[:, None] ** own.T[:, :, None], axis=0)
+            c = component @ np.linalg.pinv(design)
+            left = np.sqrt(np.sum((component - c @ design) ** 2, axis=1) / (t.shape[1] - len(own)))
+            if left.max(initial=0.0) < leaves:
+                found.append([Polynomial(own, middle, half, row) for row in c])
+                break
+        else:
+            return None
+    return tuple(map(Taken, *found))
 
 
 @cache
-def along(layout: Layout, turn: int = 1) -> tuple[Polynomial, ...] | None:
+def along(layout: Layout, turn: int = 1) -> tuple[Taken, ...] | None:
     """Return what the ends of the only array take at each channel, over x and gap [m].
 
     At an amplitude of 1, with its middle where the layout says; `turn`: -1 where the mover is turned half
     round. None where polynomials of low degree do not give it: near the ends.
     """
     (array,) = arrays(layout).values()
-    low, high, *gaps = array.box
     margin = MARGIN * array.wavelength_m
-    box = np.array([[low - margin, high + margin], gaps])
-    return least_degree(box, [taken_at(array, sensor, turn) for sensor in sensors(layout)])
+    box = array.box() + np.array([[-margin, margin], [0, 0]])
+    return least_degree(box, [_one(array, sensor, turn) for sensor in sensors(layout)])
 
 
-def taken_at(array: Array, sensor: Sensor, turn: int = 1) -> Taken:
+def _one(array: Array, sensor: Sensor, turn: int) -> Field:
     """Return what ends take at a channel of x and gap: finite array less the endless one of its width."""
-    (gap_low, gap_high), across = array.box[-2:], across_of(array, sensor, turn)
-    share = (*sides(array, across, (gap_low, gap_high)), 0.0)
+    across = across_of(array, sensor, turn)
+    share = (*sides(array, across), 0.0)
 
     def taken(at: np.ndarray) -> np.ndarray:
         x, gap = at
@@ -279,3 +286,63 @@ def taken_at(array: Array, sensor: Sensor, turn: int = 1) -> Taken:
 def across_of(array: Array, sensor: Sensor, turn: int = 1) -> tuple[float, ...]:
     """Return the places of the elements of a channel from the centre line of the array [m]."""
     return tuple(turn * y - array.centre[1] for _, y in sensor.positions)
+
+
+@cache
+def under(layout: Layout, turn: int = 1) -> tuple[Taken, ...] | None:
+    """Return what ends of all arrays take at each channel, over its place from `nominal` along and across the
+    array, and its gap [m].
+
+    At an amplitude of 1. `turn`: -1 where the mover is turned half round, and other arrays stand over the
+    channels. None where polynomials of low degree do not give it: near ends and sides.
+    """
+    found: list[Taken] = []
+    for array in arrays(layout).values():
+        (i, j), box = (array.axis, 1 - array.axis), array.box(2)
+        moved = np.sort(turn * box[[i, j]], axis=1) + MARGIN * array.wavelength_m * np.array([-1, 1])
+        own = [s for s in sensors(layout) if over(layout, s, turn) == array]
+        taken = least_degree(np.vstack([moved, box[2:]]), [_all(layout, array, s, turn) for s in own], MOST_DEGREE - 1)
+        if taken is None:
+            return None
+        found += taken
+    order = [s for a in arrays(layout).values() for s in sensors(layout) if over(layout, s, turn) == a]
+    return tuple(found[order.index(s)] for s in sensors(layout))
+
+
+def over(layout: Layout, sensor: Sensor, turn: int) -> Array:
+    """Return the array over a sensor."""
+    array = arrays(layout)[sensor.array]
+    return array if turn > 0 else opposite(layout, array)
+
+
+def nominal(array: Array, sensor: Sensor, turn: int) -> tuple[float, float]:
+    """Return the place of a channel along and across its array, the mover level and at zero [m]."""
+    at = turn * np.array(sensor.middle) - array.centre
+    return float(at[array.axis]), float(at[1 - array.axis])
+
+
+def _all(layout: Layout, own: Array, sensor: Sensor, turn: int) -> Field:
+    """Return what ends take at a channel of its place in its array: all arrays less its own endless one."""
+    places, middle = turn * np.array(sensor.positions), np.array(nominal(own, sensor, turn))
+    around = places - places.mean(axis=0)
+
+    def taken(at: np.ndarray) -> np.ndarray:
+        point = np.empty((2, at.shape[1]))
+        point[[own.axis, 1 - own.axis]] = at[:2] + middle[:, None]
+        point += np.array(own.centre)[:, None]
+        total = np.zeros((2, at.shape[1]))
+        for other in arrays(layout).values():
+            for dx, dy in around if other == own else np.zeros((1, 2)):
+                x, y = point + np.array([[dx], [dy]]) - np.array(other.centre)[:, None]
+                u, across = (x, y) if other.axis == 0 else (y, x)
+                step = other.middle_magnet * other.wavelength_m / other.magnets_per_period / 2
+                seen = np.array(cuboids(other, u - step, across, at[2]))
+                if other == own:
+                    total += (seen - harmonics(other, u - step, at[2])) / len(around)
+                else:
+                    total[0] += seen[0]
+                    if other.axis == own.axis:
+                        total[1] += seen[1]
+        return total
+
+    return taken

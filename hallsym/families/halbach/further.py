@@ -6,8 +6,7 @@ import numpy as np
 
 from hallsym.families.halbach import links
 from hallsym.families.halbach.effects.magnets import HALF_TURN, HEIGHT
-from hallsym.families.halbach.layout import arrays
-from hallsym.families.halbach.planar import opposite
+from hallsym.families.halbach.layout import arrays, opposite
 from hallsym.families.mechanisms import P
 from hallsym.model import Further, Model, Parameter, Signals
 

@@ -61,7 +61,8 @@ class Array:
     `ends`: whether a model has the ends of the array. `middle_magnet`: which magnet is at its middle, in half
     magnets from the one that points to the sensors; odd: the border of two. `known_m`: least and greatest x
     (of six coordinates also y) and gap over which a model has the ends; empty for the usual travel.
-    `middle_m`: place of its middle beside its centre when the mover is at zero.
+    `middle_m`: place of its middle beside its centre when the mover is at zero. `rival`: by how many half
+    magnets another one may be in the middle, which a log tells hardly from it; 0: none.
     """
 
     name: str
@@ -77,6 +78,7 @@ class Array:
     middle_magnet: int = 0
     known_m: tuple[float, ...] = ()
     middle_m: float = 0.0
+    rival: int = 0
 
     @property
     def label(self) -> str:
@@ -91,13 +93,13 @@ class Array:
             "length_m": self.length_m, "width_m": self.width_m, "wavelength_m": self.wavelength_m,
             "thickness_m": self.thickness_m, "magnets_per_period": self.magnets_per_period,
             "level_m": self.level_m, "ends": self.ends, "middle_magnet": self.middle_magnet,
-            "known_m": list(self.known_m), "middle_m": self.middle_m,
+            "known_m": list(self.known_m), "middle_m": self.middle_m, "rival": self.rival,
         }  # fmt: skip
 
     @property
     def stated(self) -> Array:
         """The array as a file states it, without what a log has told of it."""
-        return replace(self, ends=False, middle_magnet=0, known_m=(), middle_m=0.0)
+        return replace(self, ends=False, middle_magnet=0, known_m=(), middle_m=0.0, rival=0)
 
     @property
     def middle(self) -> float:
@@ -105,10 +107,17 @@ class Array:
         return self.centre[self.axis] + self.middle_m
 
     @property
-    def box(self) -> tuple[float, ...]:
-        """Least and greatest x and gap [m] over which a model has the ends."""
-        wave = self.wavelength_m
-        return self.known_m or (-USUAL_TRAVEL * wave, USUAL_TRAVEL * wave, *(g * wave for g in USUAL_GAPS))
+    def other(self) -> Array:
+        """The array with its rival in the middle."""
+        step = self.rival * self.wavelength_m / self.magnets_per_period / 2
+        return replace(
+            self, middle_magnet=self.middle_magnet + self.rival, middle_m=self.middle_m + step, rival=0
+        )
+
+    def box(self, plane: int = 1) -> np.ndarray:
+        """Return least and greatest of one or two coordinates in the `plane` and of the gap (plane + 1, 2) [m]."""
+        usual = [*(plane * [-USUAL_TRAVEL, USUAL_TRAVEL]), *USUAL_GAPS]
+        return np.array(self.known_m or [self.wavelength_m * v for v in usual]).reshape(plane + 1, 2)
 
     @property
     def wavenumber(self) -> float:
@@ -139,6 +148,18 @@ def arrays(layout: Sequence[Sensor | Array]) -> dict[str, Array]:
     return {part.name: part for part in layout if isinstance(part, Array)}
 
 
+def opposite(layout: Layout, array: Array) -> Array:
+    """Return the array that stands where `array` stood when the mover has turned half round about z.
+
+    Raises `LookupError` where there is none.
+    """
+    for other in arrays(layout).values():
+        away = np.abs(np.add(other.centre, array.centre)).max()
+        if other.axis == array.axis and away < array.wavelength_m / 4:
+            return other
+    raise LookupError(array.name)
+
+
 def columns(
     places: Sequence[float], wavelength_m: float = 0.03, names: Sequence[str] = (), **about: Any
 ) -> Layout:
@@ -164,7 +185,7 @@ def part_of(entry: Mapping[str, Any], wavelength_m: float | None = None) -> Sens
         return Sensor(str(entry["channel"]), points, str(entry.get("array", "")))
     known = {"name", "periodic_along", "centre_m", "length_m", "width_m", "wavelength_m", "thickness_m",
              "magnets_per_period", "level_m", "ends", "middle_magnet", "known_m",
-             "middle_m"}  # fmt: skip
+             "middle_m", "rival"}  # fmt: skip
     wrong = [key for key in entry if key not in known]
     along = entry.get("periodic_along", "x")
     if wrong or along not in ("x", "y"):
@@ -180,7 +201,7 @@ def part_of(entry: Mapping[str, Any], wavelength_m: float | None = None) -> Sens
         str(entry.get("name", along.upper())), along=along, centre=_point(centre),
         magnets_per_period=int(entry.get("magnets_per_period", 4)), ends=entry.get("ends") is True,
         middle_magnet=int(entry.get("middle_magnet", 0)), known_m=tuple(entry.get("known_m", ())),
-        middle_m=float(entry.get("middle_m", 0.0)), **stated,
+        middle_m=float(entry.get("middle_m", 0.0)), rival=int(entry.get("rival", 0)), **stated,
     )  # fmt: skip
 
 

@@ -43,6 +43,7 @@ HARMONICS = (1, 5)
 """Of four magnets per period: 1, 5, 9, ... The ninth is below 1e-4 of the first at a gap of 3 mm."""
 FAR = 100.0
 """Largest amplitude [V]."""
+BETWEEN = "ends_between"
 
 
 @cache
@@ -66,6 +67,9 @@ def halbach(layout: Layout | None = None) -> Model:
             "b": "amplitude of sin({h} k x) at the level of the array",
         }.items()
     ]
+    if array.ends and array.rival:
+        said = f"ends from those of magnet {array.middle_magnet} in the middle (0) to {array.other.middle_magnet} (1)"
+        parameters.append(Parameter(BETWEEN, 0.0, -50.0, 50.0, "1", said))
     model = Model(
         name="halbach",
         family=FAMILY,
@@ -95,6 +99,7 @@ def halbach(layout: Layout | None = None) -> Model:
         onward=onward,
         typical=tuple((k * array.wavelength_m / 8, array.level_m) for k in range(8)),
         inspect=inspect,
+        nearly=array.ends,
     )  # fmt: skip
     return model
 
@@ -135,6 +140,8 @@ def field(s: Signals, p: Mapping[str, ca.SX], layout: Layout) -> None:
     )
     if array_of(layout).ends:
         s["ends"] = ends(s, p, layout)
+        if array_of(layout).rival:
+            s["ends"] += p[BETWEEN] * (ends(s, p, (*sensors(layout), array_of(layout).other)) - s["ends"])
         s["field"] = s["field"] + s["ends"] + beside(s, p, layout)
 
 
@@ -150,10 +157,10 @@ def ends(s: Signals, p: Mapping[str, ca.SX], layout: Layout) -> ca.SX:
     phase = ca.atan2(sin * p["a1"] - cos * p["b1"], cos * p["a1"] + sin * p["b1"])
     shift, rows = turn * phase / array.wavenumber, []
     x, z = (ca.SX.sym(n) for n in "xz")
-    for k, polynomial in enumerate(finite.along(layout, turn) or ()):
-        slope = s["tilted"][k][0]
-        up, along = polynomial((x, z))
-        seen = up if slope.is_zero() else up * ca.cos(slope) + turn * along * ca.sin(slope)
+    for k, taken in enumerate(finite.along(layout, turn) or ()):
+        slope, seen = s["tilted"][k][0], taken.up((x, z))
+        if not slope.is_zero():
+            seen = seen * ca.cos(slope) + turn * taken.along((x, z)) * ca.sin(slope)
         by = [s["moved"][k][c] - s["placed"][k][i] for c, i in (("x_m", 0), ("z_m", 2))]
         if not all(b.is_zero() for b in by):
             seen = seen + ca.jtimes(seen, ca.vertcat(x, z), ca.vertcat(*by))
@@ -167,7 +174,7 @@ def beside(s: Signals, p: Mapping[str, ca.SX], layout: Layout) -> ca.SX:
     across = [finite.across_of(array, sensor, s["turn"]) for sensor in sensors(layout)]
     out = [ca.SX(0)] * len(across)
     for number, own in enumerate(dict.fromkeys(across)):
-        share = finite.sides(array, own, array.box[2:])
+        share = finite.sides(array, own)
         if not share:
             continue
         gap = s["z_m"] / array.wavelength_m
@@ -353,10 +360,21 @@ def _settled(layout: Layout, meta: Meta) -> Layout:
     log = meta.sample((*REFERENCES, *(s.channel for s in sensors(layout))))
     if len(log):
         stated = any("middle_magnet" in entry for entry in meta.raw.get("arrays", ()))
-        array = replace(array, known_m=tuple(float(f(v)) for v in log[:2] for f in (np.min, np.max)))
+        array = replace(array, known_m=travel(array.wavelength_m, log[:2]))
         array = _middle((*sensors(layout), array), log, (array.middle_magnet,) if stated else None)
     layout = (*sensors(layout), array)
     return layout if finite.along(layout) else (*sensors(layout), array.stated)
+
+
+def travel(wave: float, at: np.ndarray) -> tuple[float, ...]:
+    """Return least and greatest of coordinates (n, samples) [m], the last the gap, a single sample aside."""
+    *plane, (low, high) = np.quantile(at, (STRAY, 1 - STRAY), axis=1).T.tolist()
+    gap = max(low - wave / 60, finite.NARROW * wave), high + wave / 60
+    return tuple(v for ends in (*plane, gap) for v in ends)
+
+
+STRAY = 2e-3
+"""Share of the samples that may be stray ones."""
 
 
 def _middle(layout: Layout, log: np.ndarray, among: Sequence[int] | None) -> Array:
@@ -367,29 +385,44 @@ def _middle(layout: Layout, log: np.ndarray, among: Sequence[int] | None) -> Arr
     """
     array, (x, z, *readings) = array_of(layout), log
     q, half = array.wavenumber, np.pi / array.magnets_per_period
+    shares = {finite.sides(array, finite.across_of(array, s)) for s in sensors(layout)}
     columns = [np.ones(len(x))]
-    for h in HARMONICS:
-        columns += [np.exp(-h * q * (z - array.level_m)) * f(h * q * x) for f in (np.cos, np.sin)]
+    for h, share in (*((h, (1.0,)) for h in finite.IDEAL[:3]), *((1, share) for share in shares if share)):
+        size = np.polynomial.polynomial.polyval(z / array.wavelength_m, share)
+        columns += [size * np.exp(-h * q * (z - array.level_m)) * f(h * q * x) for f in (np.cos, np.sin)]
     design, v = np.array(columns).T, np.array(readings).T
-    waves = np.linalg.lstsq(design, v, rcond=None)[0]
+    inverse = np.linalg.pinv(design)
+    waves = inverse @ v
+    rest = v - design @ waves
+    noise = rest.var(axis=0)
     at = np.array([np.mean([np.exp(1j * q * place) for place, _ in s.positions]) for s in sensors(layout)])
     first = complex(np.sum((waves[1] + 1j * waves[2]) * at.conj()) / np.sum(np.abs(at) ** 2))
-    found = []
+    found: list[tuple[float, Array, np.ndarray]] = []
     for magnet in range(2 * array.magnets_per_period) if among is None else among:
         turned = np.angle(np.exp(1j * (magnet * half - np.angle(first) - q * array.middle)))
         own = replace(array, middle_magnet=magnet, middle_m=array.middle_m + float(turned) / q)
-        taken = np.array([finite.taken_at(own, s)(np.array([x, z]))[0] for s in sensors(layout)]).T
-        rest = v - abs(first) * taken
-        rest = rest - design @ np.linalg.lstsq(design, rest, rcond=None)[0]
-        found.append((float(len(x) * np.log(np.mean(rest**2, axis=0)).sum()), abs(own.middle_m), own))
-    best = min(found, key=lambda one: one[0])
-    near = min(found, key=lambda one: one[1])
-    return (best if best[0] < near[0] - CERTAIN else near)[2]
+        known = finite.along((*sensors(layout), own))
+        if known is None:
+            continue
+        taken = abs(first) * np.array([one.up((x, z)) for one in known]).T
+        taken -= design @ (inverse @ taken)
+        unlikely = (own.middle_m / (ZERO * array.wavelength_m)) ** 2
+        found.append((((rest - taken) ** 2 / noise).sum() + unlikely, own, taken))
+    if not found:
+        return array.stated
+    (best, own, taken), *others = sorted(found, key=lambda one: one[0])
+    for least, other, seen in others[:1]:
+        if least < best + CERTAIN and ((seen - taken) ** 2 / noise).sum() > SEEN:
+            return replace(own, rival=round((other.middle_m - own.middle_m) * q / half))
+    return own
 
 
-CERTAIN = 16.0
-"""Twice the logarithm of a likelihood ratio from which on a magnet is taken that the zero of the reference does not
-say: four standard deviations."""
+CERTAIN = 9.0
+"""Twice the logarithm of a likelihood ratio below which a rival counts: three standard deviations."""
+SEEN = 0.1
+"""Least sum of squares, in those of noise, by which readings of a rival differ: else ends are hardly seen."""
+ZERO = 1 / 8
+"""Wavelengths by which zeros of references are off the middle of an array: half a magnet (an assumption)."""
 
 
 def _is_column(name: str) -> bool:

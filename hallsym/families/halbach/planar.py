@@ -11,7 +11,7 @@ and the sensor reads the component along its own axis: (Bu, Bw) turned into the 
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -19,10 +19,19 @@ import casadi as ca
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.families.halbach import links
-from hallsym.families.halbach.checks import inspect
-from hallsym.families.halbach.layout import Array, Layout, Sensor, arrays, check_channel, part_of, sensors
-from hallsym.families.halbach.models import FAR, HARMONICS, WAVELENGTH_M
+from hallsym.families.halbach import finite, links
+from hallsym.families.halbach.checks import in_mover, inspect
+from hallsym.families.halbach.layout import (
+    Array,
+    Layout,
+    Sensor,
+    arrays,
+    check_channel,
+    opposite,
+    part_of,
+    sensors,
+)
+from hallsym.families.halbach.models import FAR, HARMONICS, WAVELENGTH_M, travel, with_ends
 from hallsym.log import Meta
 from hallsym.model import Family, Model, Parameter, Signals, on_arrays
 
@@ -112,24 +121,12 @@ def seen_by(s: Signals, rigid: Rigid, layout: Layout, k: int) -> list[links.Seen
         if array.name in s["mounted"]:
             shift, own = s["mounted"][array.name]
             m, axis = own.T @ (m - shift), own.T @ axis
-        out.append(links.Seen(array, m[i], -m[2], axis[2], axis[i]))
+        out.append(links.Seen(array, m[i], -m[2], axis[2], axis[i], m[1 - i]))
     return out
 
 
 HALF_TURN = ca.DM([-1, -1, 1])
 """What half a turn about z makes of a vector's components."""
-
-
-def opposite(layout: Layout, array: Array) -> Array:
-    """Return the array that stands where `array` stood when the mover has turned half round about z.
-
-    Raises `LookupError` where there is none.
-    """
-    for other in arrays(layout).values():
-        away = np.abs(np.add(other.centre, array.centre)).max()
-        if other.axis == array.axis and away < array.wavelength_m / 4:
-            return other
-    raise LookupError(array.name)
 
 
 @cache
@@ -168,6 +165,27 @@ def field(s: Signals, p: Mapping[str, ca.SX], layout: Layout) -> None:
     for k in range(len(s["moved"])):
         rows.append(sum(harmonic(s, k, h, p[f"a{h}"], ca.SX(0)) for h in HARMONICS))
     s["field"] = ca.vertcat(*rows)
+    if ended(layout):
+        s["ends"] = p["a1"] * ca.vertcat(*(taken_at(s, layout, k) for k in range(len(rows))))
+        s["field"] = s["field"] + s["ends"]
+
+
+def ended(layout: Layout) -> bool:
+    """Return whether the model has the ends of the arrays."""
+    return all(array.ends for array in arrays(layout).values())
+
+
+def taken_at(s: Signals, layout: Layout, k: int) -> ca.SX:
+    """Return what ends of the arrays take at a channel, at the mean place and axis of its elements."""
+    seen, sensor, turn = s.functions["seen"](s, k), sensors(layout)[k], s["turn"]
+    taken = (finite.under(layout, turn) or ())[k]
+    middle = finite.nominal(seen[0].array, sensor, turn)
+    u, across, height, up, along = (
+        sum((getattr(e, f) for e in seen), ca.SX(0)) / len(seen)
+        for f in ("u", "across", "height", "up", "along")
+    )
+    at = (u - middle[0], across - middle[1], height)
+    return up * taken.up(at) + along * taken.along(at)
 
 
 def harmonic(s: Signals, k: int, h: int, a: ca.SX, b: ca.SX) -> ca.SX:
@@ -409,17 +427,33 @@ def from_meta(make: Callable[..., Model], meta: Meta) -> Model:
     own = halbach_planar().names
     stated: Sequence[Mapping[str, Any]] = [
         *(meta.probes if meta.probes is not None else meta.raw.get("channels", ())),
-        *meta.raw.get("arrays", ()),
+        *map(with_ends, meta.raw.get("arrays", ())),
     ]
     about = {"thickness_m": nominal["magnet_thickness_m"]} if "magnet_thickness_m" in nominal else {}
     wave = float(nominal.get("lambda_m", WAVELENGTH_M))
     parts = [part_of(e if "channel" in e else {**about, **e}, wave) for e in stated]
-    model = make(tuple(parts)) if parts else make()
+    model = make(_settled(tuple(parts), meta)) if parts else make()
     changes = {k: {"nominal": float(v)} for k, v in nominal.items() if k in own}
     if "remanence_t" in nominal and "gain_v_per_t" in nominal:
         array = next(iter(arrays(model.layout).values()))
         changes.setdefault("a1", {"nominal": _amplitude(array, nominal)})
     return model.with_parameters(changes)
+
+
+def _settled(layout: Layout, meta: Meta) -> Layout:
+    """Return the layout with the travel of its log, within which a model has the ends; without ends elsewhere."""
+    known, seen = arrays(layout), sensors(layout)
+    if not known or not ended(layout) or any(s.array not in known for s in seen):
+        return layout
+    pose = meta.sample(REFERENCES)
+    if len(pose) and not any(array.known_m for array in known.values()):
+        level = Array("mover", 1.0)
+        at = np.hstack([in_mover(Sensor(s.channel, (s.middle,)), level, pose)[0] for s in seen])
+        at -= np.repeat([[*s.middle, 0.0] for s in seen], pose.shape[1], axis=0).T
+        at[2] *= -1
+        known = {n: replace(a, known_m=travel(a.wavelength_m, at)) for n, a in known.items()}
+    layout = (*seen, *known.values())
+    return layout if finite.under(layout) else (*seen, *(a.stated for a in known.values()))
 
 
 def _amplitude(array: Array, nominal: Mapping[str, float]) -> float:
