@@ -172,9 +172,9 @@ def sides(array: Array, across: tuple[float, ...]) -> tuple[float, ...]:
 
 MOST_DEGREE = 6
 """Of the polynomials that ends are given by."""
-LEAVES = 3e-5
-"""Share of the amplitude (rms) that they may leave: .02 mV of .6 V, the uncertainty of an offset of a usual log
-(1 mV of noise, some thousand samples). The ideal array's own seventeenth harmonic is 1e-5 at 3 mm."""
+LEAVES = 2e-5
+"""Share of the amplitude (rms) that they may leave, and again by terms left out: .012 mV of .6 V, half the
+uncertainty of an offset of a usual log (1 mV of noise, some thousand samples). The ideal array's own seventeenth harmonic is 1e-5 at 3 mm."""
 NARROW = 0.05
 """Gap over the wavelength below which higher harmonics than those known are in what ends take."""
 MARGIN = 1 / 12
@@ -183,28 +183,25 @@ MARGIN = 1 / 12
 
 @dataclass(frozen=True, eq=False)
 class Polynomial:
-    """A share of the amplitude over a box: sum of `c` (terms,) times products of powers of (v - middle) / half.
-
-    `powers`: (terms, n).
-    """
+    """A share of the amplitude: sum of `c` (terms,) times products of `powers` (terms, n) of v - middle (n,)."""
 
     powers: np.ndarray
     middle: np.ndarray
-    half: np.ndarray
     c: np.ndarray
 
     def __call__(self, variables: Sequence[Any]) -> Any:
         """Return the share at a place (n,), of symbols or arrays."""
-        each = []
-        for value, middle, half, highest in zip(
-            variables, self.middle, self.half, self.powers.max(axis=0), strict=True
-        ):
-            row = [0 * value + 1]
-            while len(row) <= highest:
-                row.append(row[-1] * ((value - float(middle)) / float(half)))
-            each.append(row)
-        powers = zip(self.c.tolist(), self.powers.tolist(), strict=True)
-        return sum(c * prod(row[n] for row, n in zip(each, own, strict=True) if n) for c, own in powers)
+        rows = []
+        for value, middle, most in zip(variables, self.middle, self.powers.max(axis=0, initial=0), strict=True):
+            row = [None, value - float(middle)]
+            while len(row) <= most:
+                row.append(row[-1] * row[1])
+            rows.append(row)
+        total = 0 * variables[0]
+        for c, own in zip(self.c.tolist(), self.powers.tolist(), strict=True):
+            term = [row[n] for row, n in zip(rows, own, strict=True) if n]
+            total = total + (prod(term[1:], start=term[0]) * c if term else c)
+        return total
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,6 +210,10 @@ class Taken:
 
     up: Polynomial
     along: Polynomial
+
+    def at(self, place: np.ndarray) -> "Taken":
+        """Return the same of places from another origin, `place` of the old one."""
+        return Taken(*(replace(p, middle=p.middle + place) for p in (self.up, self.along)))
 
 
 Field = Callable[[np.ndarray], np.ndarray]
@@ -245,11 +246,20 @@ def least_degree(box: np.ndarray, of: Sequence[Field], most: int = MOST_DEGREE) 
             c = component @ np.linalg.pinv(design)
             left = np.sqrt(np.sum((component - c @ design) ** 2, axis=1) / (t.shape[1] - len(own)))
             if left.max(initial=0.0) < leaves:
-                found.append([Polynomial(own, middle, half, row) for row in c])
+                size = np.prod(half**own, axis=1)
+                kept = [_counting(row, design, leaves) for row in c]
+                found.append([Polynomial(own[k], middle, (row / size)[k]) for k, row in zip(kept, c, strict=True)])
                 break
         else:
             return None
     return tuple(map(Taken, *found))
+
+
+def _counting(c: np.ndarray, design: np.ndarray, leaves: float) -> np.ndarray:
+    """Return the numbers of the terms without the smallest, which together are less than `leaves` (rms)."""
+    size = c**2 * np.mean(design**2, axis=1)
+    order = np.argsort(size)
+    return np.sort(order[np.cumsum(size[order]) > leaves**2])
 
 
 @cache
@@ -290,23 +300,23 @@ def across_of(array: Array, sensor: Sensor, turn: int = 1) -> tuple[float, ...]:
 
 @cache
 def under(layout: Layout, turn: int = 1) -> tuple[Taken, ...] | None:
-    """Return what ends of all arrays take at each channel, over its place from `nominal` along and across the
-    array, and its gap [m].
+    """Return what ends of all arrays take at each channel, over its place along and across the array and gap [m].
 
     At an amplitude of 1. `turn`: -1 where the mover is turned half round, and other arrays stand over the
     channels. None where polynomials of low degree do not give it: near ends and sides.
     """
-    found: list[Taken] = []
+    found: dict[Sensor, Taken] = {}
     for array in arrays(layout).values():
         (i, j), box = (array.axis, 1 - array.axis), array.box(2)
         moved = np.sort(turn * box[[i, j]], axis=1) + MARGIN * array.wavelength_m * np.array([-1, 1])
         own = [s for s in sensors(layout) if over(layout, s, turn) == array]
-        taken = least_degree(np.vstack([moved, box[2:]]), [_all(layout, array, s, turn) for s in own], MOST_DEGREE - 1)
+        fields = [_all(layout, array, sensor, turn) for sensor in own]
+        taken = least_degree(np.vstack([moved, box[2:]]), fields, MOST_DEGREE - 1)
         if taken is None:
             return None
-        found += taken
-    order = [s for a in arrays(layout).values() for s in sensors(layout) if over(layout, s, turn) == a]
-    return tuple(found[order.index(s)] for s in sensors(layout))
+        for sensor, one in zip(own, taken, strict=True):
+            found[sensor] = one.at(np.array([*nominal(array, sensor, turn), 0.0]))
+    return tuple(found[sensor] for sensor in sensors(layout))
 
 
 def over(layout: Layout, sensor: Sensor, turn: int) -> Array:

@@ -179,13 +179,13 @@ def taken_at(s: Signals, layout: Layout, k: int) -> ca.SX:
     """Return what ends of the arrays take at a channel, at the mean place and axis of its elements."""
     seen, sensor, turn = s.functions["seen"](s, k), sensors(layout)[k], s["turn"]
     taken = (finite.under(layout, turn) or ())[k]
-    middle = finite.nominal(seen[0].array, sensor, turn)
-    u, across, height, up, along = (
-        sum((getattr(e, f) for e in seen), ca.SX(0)) / len(seen)
-        for f in ("u", "across", "height", "up", "along")
+    middle = [e for e, place in zip(seen, sensor.positions, strict=True) if np.allclose(place, sensor.middle)]
+    u, across, height, along = (
+        sum((getattr(e, f) for e in middle or seen), ca.SX(0)) / len(middle or seen)
+        for f in ("u", "across", "height", "along")
     )
-    at = (u - middle[0], across - middle[1], height)
-    return up * taken.up(at) + along * taken.along(at)
+    at = (u, across, height)
+    return taken.up(at) + along * taken.along(at)
 
 
 def harmonic(s: Signals, k: int, h: int, a: ca.SX, b: ca.SX) -> ca.SX:
