@@ -172,9 +172,12 @@ def sides(array: Array, across: tuple[float, ...]) -> tuple[float, ...]:
 
 MOST_DEGREE = 6
 """Of the polynomials that ends are given by."""
-LEAVES = 2e-5
-"""Share of the amplitude (rms) that they may leave, and again by terms left out: .012 mV of .6 V, half the
-uncertainty of an offset of a usual log (1 mV of noise, some thousand samples). The ideal array's own seventeenth harmonic is 1e-5 at 3 mm."""
+AIM, LEAVES = 8e-6, 6e-5
+"""Share of the amplitude (rms) that they are to leave: .005 mV of .6 V, a quarter of the uncertainty of an offset of
+a usual log (1 mV of noise, some thousand samples); and that they may: waves, which are no offset, such as the third
+harmonic that sides make 10 mm inside them."""
+AIM_PLANAR = 2e-5
+"""The same of six coordinates, where readings are sums of thousands of operations."""
 NARROW = 0.05
 """Gap over the wavelength below which higher harmonics than those known are in what ends take."""
 MARGIN = 1 / 12
@@ -226,10 +229,12 @@ TILTED = 0.03
 """Largest tilt [rad] at which sensors see the field along the period, and that polynomial leaves as much."""
 
 
-def least_degree(box: np.ndarray, of: Sequence[Field], most: int = MOST_DEGREE) -> tuple[Taken, ...] | None:
-    """Return polynomials over a box (n, 2), of the least total degree that leaves less than `LEAVES` of each.
+def least_degree(
+    box: np.ndarray, of: Sequence[Field], most: int = MOST_DEGREE, aim: float = AIM
+) -> tuple[Taken, ...] | None:
+    """Return polynomials over a box (n, 2), of the least total degree that leaves `aim` of each, or the best.
 
-    None where that takes more than `most`.
+    None where that leaves more than `LEAVES`.
     """
     (low, high), n = box.T, len(box)
     middle, half = (low + high) / 2, (high - low) / 2
@@ -239,19 +244,22 @@ def least_degree(box: np.ndarray, of: Sequence[Field], most: int = MOST_DEGREE) 
     t = np.cos(pi * (np.arange(1, OVER * len(powers) + 1) * SPREAD[:n, None] % 1))
     seen = np.array([f(middle[:, None] + half[:, None] * t) for f in of]).swapaxes(0, 1)
     found = []
-    for component, leaves in zip(seen, (LEAVES, LEAVES / TILTED), strict=True):
+    for component, share in zip(seen, (1.0, TILTED), strict=True):
+        tried = []
         for degree in range(1, most + 1):
             own = powers[powers.sum(axis=1) <= degree]
             design = np.prod(t[:, None] ** own.T[:, :, None], axis=0)
             c = component @ np.linalg.pinv(design)
             left = np.sqrt(np.sum((component - c @ design) ** 2, axis=1) / (t.shape[1] - len(own)))
-            if left.max(initial=0.0) < leaves:
-                size = np.prod(half**own, axis=1)
-                kept = [_counting(row, design, leaves) for row in c]
-                found.append([Polynomial(own[k], middle, (row / size)[k]) for k, row in zip(kept, c, strict=True)])
+            tried.append((max(share * left.max(initial=0.0), aim), degree, own, design, c))
+            if tried[-1][0] <= aim:
                 break
-        else:
+        left, _, own, design, c = min(tried, key=lambda one: one[:2])
+        if left > LEAVES:
             return None
+        size = np.prod(half**own, axis=1)
+        kept = [_counting(row, design, aim / share / 2) for row in c]
+        found.append([Polynomial(own[k], middle, (row / size)[k]) for k, row in zip(kept, c, strict=True)])
     return tuple(map(Taken, *found))
 
 
@@ -311,7 +319,7 @@ def under(layout: Layout, turn: int = 1) -> tuple[Taken, ...] | None:
         moved = np.sort(turn * box[[i, j]], axis=1) + MARGIN * array.wavelength_m * np.array([-1, 1])
         own = [s for s in sensors(layout) if over(layout, s, turn) == array]
         fields = [_all(layout, array, sensor, turn) for sensor in own]
-        taken = least_degree(np.vstack([moved, box[2:]]), fields, MOST_DEGREE - 1)
+        taken = least_degree(np.vstack([moved, box[2:]]), fields, MOST_DEGREE - 1, AIM_PLANAR)
         if taken is None:
             return None
         for sensor, one in zip(own, taken, strict=True):
