@@ -151,19 +151,19 @@ NOTHING = 1e-6
 
 
 @cache
-def sides(array: Array, across: tuple[float, ...]) -> tuple[float, ...]:
-    """Return what sides add to the first harmonic, as a share of it, for the mean of sensors `across` [m].
+def sides(array: Array, across: tuple[float, ...], order: int = 1) -> tuple[float, ...]:
+    """Return what sides add to a harmonic as a share of the first, for the mean of sensors `across` [m].
 
-    Coefficients of a polynomial in the gap over the wavelength, lowest first; none where the array is so wide that they add nothing. Of higher harmonics they take less than 1e-4 of the first
-    from a third of a wavelength inside on.
+    Coefficients of a polynomial in the gap over the wavelength, lowest first; none where the array is so wide
+    that they add nothing. Harmonics other than the first and third they hardly change.
     """
     count = 8 * SIDES_DEGREE
     places, gap = np.arange(count) * array.wavelength_m / count, np.linspace(*array.box()[1], count)
     u, z = (v.ravel() for v in np.meshgrid(places, gap))
     long = replace(array, length_m=LONG * array.wavelength_m, middle_magnet=0)
     field = np.mean([cuboids(long, u, np.full(len(u), y), z)[0] for y in across], axis=0)
-    first = field.reshape(count, count) @ np.cos(array.wavenumber * places) * 2 / count
-    share = first * np.exp(array.wavenumber * (gap - array.level_m)) - 1
+    own = field.reshape(count, count) @ np.cos(order * array.wavenumber * places) * 2 / count
+    share = own * np.exp(array.wavenumber * (gap - array.level_m)) - (order == 1)
     if np.abs(share).max() < NOTHING:
         return ()
     fitted = np.polynomial.polynomial.polyfit(gap / array.wavelength_m, share, SIDES_DEGREE)
@@ -255,7 +255,7 @@ def least_degree(
             if tried[-1][0] <= aim:
                 break
         left, _, own, design, c = min(tried, key=lambda one: one[:2])
-        if left > LEAVES:
+        if left > LEAVES and share == 1.0:  # of the other, tilts show sides that are no polynomial: waves again
             return None
         size = np.prod(half**own, axis=1)
         kept = [_counting(row, design, aim / share / 2) for row in c]
@@ -285,17 +285,21 @@ def along(layout: Layout, turn: int = 1) -> tuple[Taken, ...] | None:
 
 def _one(array: Array, sensor: Sensor, turn: int) -> Field:
     """Return what ends take at a channel of x and gap: finite array less the endless one of its width."""
-    across = across_of(array, sensor, turn)
-    share = (*sides(array, across), 0.0)
+    across, q = across_of(array, sensor, turn), array.wavenumber
+    shift = array.middle_magnet * pi / array.magnets_per_period
 
     def taken(at: np.ndarray) -> np.ndarray:
         x, gap = at
         total = np.zeros((2, len(x)))
-        wider = np.polynomial.polynomial.polyval(gap / array.wavelength_m, share)
         for (place, _), y in zip(sensor.positions, across, strict=True):
             u = turn * (place - x) - array.middle
             total += np.subtract(cuboids(array, u, np.full(len(x), y), gap), harmonics(array, u, gap))
-            total -= wider * np.array(harmonics(array, u, gap, (1,)))
+            for order in (1, 3):  # the third, which models leave out, would be no polynomial
+                share = np.polynomial.polynomial.polyval(
+                    gap / array.wavelength_m, (*sides(array, across, order), 0.0)
+                )
+                wave = share * np.exp(-q * (gap - array.level_m)) * np.exp(-1j * order * (q * u + shift))
+                total -= np.array([wave.real, wave.imag])
         return total / len(across)
 
     return taken

@@ -6,6 +6,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
+from hallsym.errors import InputError
 from hallsym.families.halbach import links
 from hallsym.families.halbach.effects.magnets import HEIGHT, LONGER
 from hallsym.families.halbach.finite import missing
@@ -125,17 +126,20 @@ def array_edges(
         },
         "which sensors a channel reads: always its own, of those a wavelength apart the ones next to the "
         "middle, or an unknown choice of them",
+        when=lambda reads, model, facts: reads != "nearest" or not array_of(model.layout).ends,
     ),
 ) -> Model:
     """The array has ends, near which its field fades; sensors chosen anew as it travels see them in turn.
 
-    `edges` is 1 for the array that the layout states, negative where it is half a wavelength longer. Of an
-    unknown choice, and so of ends of unknown shape, the wave that moves a position is fitted: it repeats
+    `edges` is 1 for the array that the layout states, negative where it is half a wavelength longer; of a
+    model that has the ends already it is the share by which they are stronger. Of an unknown choice, and so of ends of unknown shape, the wave that moves a position is fitted: it repeats
     every wavelength and does not fade with the gap as a harmonic of the magnets does. With fixed sensors on
     a board that is longer than the array by a wavelength, x is decoded over all periods, with no reference.
     """
     if reads == "unknown":
         return _unknown(model)
+    if array_of(model.layout).ends:
+        return stronger(model, reads)
 
     def step(s: Signals, p: P) -> None:
         added = []
@@ -153,6 +157,21 @@ def array_edges(
         begin=lambda v, p: begin(v, p, array_of(model.layout), model.layout),
         period={}, absolute=(), onward=None,
     )  # fmt: skip
+
+
+def stronger(model: Model, reads: str = "fixed") -> Model:
+    """The ends are stronger than those of the stated arrays by a share, `edges`."""
+    if reads != "fixed":
+        raise InputError(
+            f"Model {model.name} has the ends of its arrays under fixed sensors; for those next to the middle state "
+            "ends = false in the table of the array."
+        )
+
+    def step(s: Signals, p: P) -> None:
+        s["field"] = s["field"] + p["edges"] * s["ends"]
+
+    new = Parameter("edges", 0.0, -MOST, MOST, "1", "share by which ends are stronger than those stated")
+    return model.with_step("field", step, effect="array_edges", parameters=(new,))
 
 
 def _missing_at(s: Signals, model: Model, k: int, reads: str) -> list[tuple[ca.SX, ca.SX]]:

@@ -4,11 +4,12 @@ from functools import cache
 
 import casadi as ca
 
-from hallsym.families.halbach.effects.ends import MOST
+from hallsym.families.halbach.effects.ends import MOST, stronger
 from hallsym.families.halbach.effects.magnets import HALF_TURN, LONGER
 from hallsym.families.halbach.finite import missing
 from hallsym.families.halbach.layout import Array
 from hallsym.families.halbach.links import Seen
+from hallsym.families.halbach.planar import ended
 from hallsym.families.mechanisms import P
 from hallsym.model import Model, Parameter, Signals, effect
 
@@ -18,8 +19,11 @@ def array_edges(model: Model) -> Model:
     """The arrays have ends along their period, near which their field fades and reaches beyond.
 
     `edges` is 1 for arrays as long as the layout states, and wide; with it sensors may lie beyond the
-    ends along the period, as long as two or more of each array are under it.
+    ends along the period, as long as two or more of each array are under it. Of a model that has the ends
+    already it is the share by which they are stronger.
     """
+    if ended(model.layout):
+        return stronger(model)
 
     def step(s: Signals, p: P) -> None:
         added = []
