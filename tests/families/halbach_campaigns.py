@@ -13,10 +13,11 @@ from halbach_plant import magnets, readings
 import hallsym
 from hallsym import Log, Noise
 from hallsym.families.halbach import planar
-from hallsym.families.halbach.effects import ends, planar_ends
 from hallsym.families.halbach.layout import Array, Sensor, arrays, sensors
 from hallsym.families.halbach.models import halbach
+from hallsym.log import Meta
 
+STATED = ("name", "periodic_along", "centre_m", "length_m", "width_m", "wavelength_m")
 EFFECTS = ["gain_mismatch", "offset_error", "sensor_position_error"]
 V_PER_T, NOISE_V = 4.0, 2e-3
 REFERENCE = {"m": 5e-7, "rad": 3e-6}
@@ -70,14 +71,16 @@ def campaign(model, seed, count=240):
         for kind in SPREAD
         for k, (s, i) in enumerate(zip(seen, axis, strict=True))
     }
-    return Log.from_arrays(data, Noise.given(noise, tuple(data))), true
+    parts = [part.entry for part in model.layout]
+    stated = [{k: entry[k] for k in STATED if k in entry} for entry in parts if "channel" not in entry]
+    meta = Meta(probes=[e for e in parts if "channel" in e], raw={"arrays": stated})
+    return Log.from_arrays(data, Noise.given(noise, tuple(data)), meta), true
 
 
 def deviations(model, seed, count=240):
     """Estimates less the truth over their standard uncertainty, by name of the parameter."""
     log, true = campaign(model, seed, count)
-    model = finite(model)
-    fit = hallsym.fit(log, model, effects=EFFECTS, solver="direct", loss="none")
+    fit = hallsym.fit(log, model.name, effects=EFFECTS, solver="direct", loss="none")
     assert fit.status == "converged"
     out = {}
     names = list(fit.model.names)
@@ -97,13 +100,6 @@ def deviations(model, seed, count=240):
         std = np.sqrt(np.diag(contrast @ fit.covariance[np.ix_(at, at)] @ contrast.T))
         out |= dict(zip(own, error / std, strict=True))
     return out
-
-
-@cache
-def finite(model):
-    """The model with the ends of its arrays as long as the layout states; made once, its fit takes 2 GB."""
-    known = {"edges": {"nominal": 1.0, "lower": 1.0, "upper": 1.0}}
-    return (planar_ends if len(model.pose) == 6 else ends).array_edges(model).with_parameters(known)
 
 
 def four_arrays():

@@ -7,23 +7,24 @@ WAVE = 0.03
 PITCH, HEIGHT = WAVE / 4, WAVE / 4
 
 
-def magnets(axis, centre, length, width):
+def magnets(axis, centre, length, width, middle=0):
     """Cuboids (dimension, position of the middle, polarisation) of one array, its lower face at z = 0.
 
-    Four per period, strong side down, the middle one pointing up; half magnets at both ends.
+    Four per period, strong side down. The middle is `middle` half magnets beyond the one that points up; the last
+    ones are cut where the array ends.
     """
-    count = round(length / PITCH)
-    out = []
-    for i in range(-(count // 2), count // 2 + 1):
-        size = PITCH / 2 if abs(i) == count // 2 else PITCH
-        place = i * PITCH - np.sign(i) * (PITCH - size) / 2
+    out, most = [], round(length / PITCH)
+    for i in range(-most, most + 1):
+        place = (i - middle / 2) * PITCH
+        low, high = np.clip([place - PITCH / 2, place + PITCH / 2], -length / 2, length / 2)
+        if high - low < 1e-9:
+            continue
         angle = np.pi / 2 - np.pi / 2 * i
-        along, up = BR * np.cos(angle), BR * np.sin(angle)
         at, dimension, pol = np.zeros(3), np.zeros(3), np.zeros(3)
-        at[axis], at[2] = place, HEIGHT / 2
+        at[axis], at[2] = (low + high) / 2, HEIGHT / 2
         at[:2] += centre
-        dimension[axis], dimension[1 - axis], dimension[2] = size, width, HEIGHT
-        pol[axis], pol[2] = along, up
+        dimension[axis], dimension[1 - axis], dimension[2] = high - low, width, HEIGHT
+        pol[axis], pol[2] = BR * np.cos(angle), BR * np.sin(angle)
         out.append((dimension, at, pol))
     return out
 

@@ -8,13 +8,16 @@ import re
 import halbach_plant as plant
 import numpy as np
 import pytest
+from firmware import passes, written
 
 import hallsym
 from hallsym import Log, Noise, NoiseModel
+from hallsym.families.halbach import finite
 from hallsym.families.halbach.effects import ends, magnets
 from hallsym.families.halbach.finite import strength
-from hallsym.families.halbach.layout import Sensor, arrays, columns
+from hallsym.families.halbach.layout import Array, Sensor, arrays, columns
 from hallsym.families.halbach.models import halbach
+from hallsym.log import Meta
 from hallsym.model import on_arrays
 from hallsym.simulation import campaign_from
 from hallsym.uncertainty import errors_along
@@ -46,6 +49,69 @@ def test_a_finite_array_is_that_of_cuboids():
 
 FIFTH = strength(columns((0.0,))[-1], 5)
 """Fifth harmonic of square magnets over the first, at the level."""
+
+
+@pytest.mark.parametrize("middle", range(8))
+def test_an_array_of_stated_width_is_that_of_cuboids(middle):
+    """Narrow arrays with every magnet in the middle (magpylib), and what the model has of them in its box."""
+    pytest.importorskip("magpylib")
+    array = Array("X", 0.03, length_m=0.15, width_m=0.06, ends=True, middle_magnet=middle)
+    rng, size = np.random.default_rng(middle), plant.BR * finite.filled(array, 1) * np.exp(-np.pi / 3)
+    x, z = rng.uniform(-0.015, 0.015, 40), rng.uniform(4e-3, 7e-3, 40)
+    parts = plant.magnets(0, np.zeros(2), 0.15, 0.06, middle)
+    at = np.column_stack([0.01 - x, np.full(40, 0.01), -z])
+    true = plant.field(parts, at) / size
+    up, along = finite.cuboids(array, at[:, 0], at[:, 1], z)
+    assert np.abs(true[:, [2, 0]].T - [up, along]).max() < 1e-12
+    seen = Sensor("col_0_v", ((0.01, 0.01),))
+    other = Sensor("col_1_v", ((0.0, 0.01),))
+    turns = np.exp(1j * middle * np.pi / 4 * np.array([1, 5]))
+    own = {f"{n}{h}": float(strength(array, h) * part(t)) for h, t in zip((1, 5), turns, strict=True)
+           for n, part in (("a", np.real), ("b", np.imag))}  # fmt: skip
+    off = true[:, 2] - read(halbach((seen, other, array)), own, x, z)[0]
+    plain = true[:, 2] - read(halbach((seen, other, array.stated)), own, x, z)[0]
+    assert abs(off.mean()) < 2e-5  # of which no offset is made
+    assert abs(off.mean()) < 0.1 * abs(plain).mean()
+
+
+def finite_machine(stated, middle=3, width=0.06):
+    """A log of five sensors under .18 m of cuboids, the zero of the reference 1.3 mm off, and their offsets."""
+    rng, count, places = np.random.default_rng(5), 1500, (np.arange(5) - 2) * 0.01
+    t, off = np.linspace(0, 2 * np.pi, count), 0.01 * np.random.default_rng(6).standard_normal(5)
+    x, z = 0.016 * np.sin(17 * t), 5e-3 + 8e-4 * np.sin(41 * t)
+    parts = plant.magnets(0, np.zeros(2), 0.18, width, middle)
+    at = [np.column_stack([p - x - 1.3e-3, 0 * x, -z]) for p in places]
+    v = np.array([4 * plant.field(parts, point)[:, 2] for point in at]) + off[:, None]
+    names = [f"col_{k}_v" for k in range(5)]
+    data = dict(zip(names, v + 1e-3 * rng.standard_normal(v.shape), strict=True))
+    data |= {"x_ref_m": x, "z_ref_m": z, "run": np.arange(count) // 300, "t_s": 0.01 * np.arange(count)}
+    probes = [{"channel": n, "position_m": [float(p)]} for n, p in zip(names, places, strict=True)]
+    array = {"name": "X", "wavelength_m": 0.03, "length_m": 0.18} | ({"width_m": width} if stated else {})
+    noise = dict.fromkeys(names, 1e-3) | {"x_ref_m": 1e-7, "z_ref_m": 1e-7}
+    meta = Meta(probes=probes, raw={"arrays": [array]})
+    return Log.from_arrays(data, Noise.given(noise, tuple(data)), meta), off
+
+
+@pytest.mark.slow
+def test_offsets_beside_the_ends_of_a_stated_array_are_within_their_uncertainties(tmp_path):
+    """Without its width they are many sigma off, and a note says so; C of the fit says what ends leave."""
+    pytest.importorskip("magpylib")
+    far, effects = {}, ["gain_mismatch", "offset_error"]
+    for stated in (False, True):
+        log, off = finite_machine(stated)
+        fit = hallsym.fit(log, "halbach", effects=effects, solver="direct", loss="none")
+        own = [fit.model.names.index(f"offset_error_{k}") for k in range(5)]
+        far[stated] = np.abs((fit.values[own] - off) / fit.std[own]).max()
+        assert any("The ends of array" in note for note in fit.notes) == (not stated)
+    assert far[False] > 5
+    assert far[True] < 3.3
+    assert fit.model.layout[-1].middle_magnet == 3
+    fit.save(tmp_path / "calib.json")
+    again = hallsym.load_fit(tmp_path / "calib.json")
+    assert again.model.layout == fit.model.layout
+    code = hallsym.generate(again)
+    assert any("What ends and sides of the array do leaves at most" in said for said in code.decoupler.said)
+    passes(written(code, tmp_path / "fw"))
 
 
 def test_ends_are_nothing_in_the_middle_of_a_long_array():
