@@ -78,7 +78,7 @@ class Log:
     @property
     def described(self) -> Meta:
         """What it states of its machine, with the samples that tell what is not stated."""
-        return replace(self.meta, read=self.array)
+        return replace(self.meta, column=self.array)
 
     @property
     def timed(self) -> bool:

@@ -59,14 +59,14 @@ class Meta:
     raw: dict[str, Any] = field(default_factory=dict)
     columns: tuple[str, ...] = ()
     """SI columns of the log it belongs to, which say in what form the sensor was read."""
-    read: Callable[[str], np.ndarray] | None = field(default=None, repr=False)
+    column: Callable[[str], np.ndarray] | None = field(default=None, repr=False)
     """Reads a column of that log, for a machine of which a file does not state all."""
 
     def sample(self, columns: Sequence[str], count: int = SAMPLES) -> np.ndarray:
         """Return columns of the log (columns, samples) at `count` of its rows, (0, 0) where there is none."""
-        if self.read is None or not set(columns) <= set(self.columns):
+        if self.column is None or not set(columns) <= set(self.columns):
             return np.zeros((0, 0))
-        rows = np.array([self.read(c) for c in columns])
+        rows = np.array([self.column(c) for c in columns])
         rows = rows[:, np.isfinite(rows).all(axis=0)]
         return rows[:, np.unique(np.linspace(0, rows.shape[1] - 1, count).astype(int))]
 

@@ -10,8 +10,8 @@ PITCH, HEIGHT = WAVE / 4, WAVE / 4
 def magnets(axis, centre, length, width, middle=0):
     """Cuboids (dimension, position of the middle, polarisation) of one array, its lower face at z = 0.
 
-    Four per period, strong side down. The middle is `middle` half magnets beyond the one that points up; the last
-    ones are cut where the array ends.
+    Four per period, strong side down. The middle is `middle` half magnets beyond the one that points up; the
+    last ones are cut where the array ends.
     """
     out, most = [], round(length / PITCH)
     for i in range(-most, most + 1):

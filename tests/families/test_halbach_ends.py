@@ -75,7 +75,7 @@ def test_an_array_of_stated_width_is_that_of_cuboids(middle):
 
 
 def finite_machine(stated, middle=3, width=0.06):
-    """A log of five sensors under .18 m of cuboids, the zero of the reference 1.3 mm off, and their offsets."""
+    """A log of five sensors under .18 m of cuboids, the reference's zero 1.3 mm off, and their offsets."""
     rng, count, places = np.random.default_rng(5), 1500, (np.arange(5) - 2) * 0.01
     t, off = np.linspace(0, 2 * np.pi, count), 0.01 * np.random.default_rng(6).standard_normal(5)
     x, z = 0.016 * np.sin(17 * t), 5e-3 + 8e-4 * np.sin(41 * t)

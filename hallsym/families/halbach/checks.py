@@ -84,7 +84,7 @@ def _covered(model: Model, known: dict[str, Array], pose: np.ndarray, name: str)
 
 
 def _of_ends(known: dict[str, Array], pose: np.ndarray, name: str) -> Iterator[str]:
-    """Claim places at which a model does not know the ends of its array; note ends that the log hardly tells."""
+    """Claim places where a model does not know the ends of its array; note ends that the log hardly tells."""
     for array in known.values():
         # of six coordinates the travel is that of the sensors in the mover
         seen = pose if len(pose) == 2 else pose[:3] * [[-1], [-1], [1]]

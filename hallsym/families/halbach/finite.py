@@ -93,7 +93,9 @@ def missing_of(array: Array) -> ca.Function:
 # -- cuboids: finite length and width --------------------------------------------------------------------
 
 
-def cuboids(array: Array, u: np.ndarray, across: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def cuboids(
+    array: Array, u: np.ndarray, across: np.ndarray, gap: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the field of the array away from its face and along its period, (n,) each, at places (n,) [m].
 
     `u` along and `across` from its middle, `gap` below its face. In units of the first harmonic of the
@@ -138,8 +140,11 @@ def harmonics(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the same of the endless array, without sides: its harmonics."""
     q, shift = array.wavenumber, array.middle_magnet * pi / array.magnets_per_period
-    terms = [(strength(array, h) * np.exp(-h * q * (gap - array.level_m)), h * (q * u + shift)) for h in orders]
-    return sum(a * np.cos(t) for a, t in terms), -sum(a * np.sin(t) for a, t in terms)
+    terms = [
+        (strength(array, h) * np.exp(-h * q * (gap - array.level_m)), h * (q * u + shift)) for h in orders
+    ]
+    wave = np.sum([a * np.exp(-1j * t) for a, t in terms], axis=0)
+    return wave.real, wave.imag
 
 
 LONG = 24
@@ -157,8 +162,8 @@ def sides(array: Array, across: tuple[float, ...], order: int = 1) -> tuple[floa
     Coefficients of a polynomial in the gap over the wavelength, lowest first; none where the array is so wide
     that they add nothing. Harmonics other than the first and third they hardly change.
     """
-    count = 8 * SIDES_DEGREE
-    places, gap = np.arange(count) * array.wavelength_m / count, np.linspace(*array.box()[1], count)
+    count, (low, high) = 8 * SIDES_DEGREE, array.box()[1].tolist()
+    places, gap = np.arange(count) * array.wavelength_m / count, np.linspace(low, high, count)
     u, z = (v.ravel() for v in np.meshgrid(places, gap))
     long = replace(array, length_m=LONG * array.wavelength_m, middle_magnet=0)
     field = np.mean([cuboids(long, u, np.full(len(u), y), z)[0] for y in across], axis=0)
@@ -173,9 +178,8 @@ def sides(array: Array, across: tuple[float, ...], order: int = 1) -> tuple[floa
 MOST_DEGREE = 6
 """Of the polynomials that ends are given by."""
 AIM, LEAVES = 8e-6, 6e-5
-"""Share of the amplitude (rms) that they are to leave: .005 mV of .6 V, a quarter of the uncertainty of an offset of
-a usual log (1 mV of noise, some thousand samples); and that they may: waves, which are no offset, such as the third
-harmonic that sides make 10 mm inside them."""
+"""Share of the amplitude (rms) that they are to leave: .005 mV of .6 V, a quarter of the uncertainty of an
+offset of a usual log (1 mV of noise, some thousand samples); and the most that they may leave."""
 AIM_PLANAR = 2e-5
 """The same of six coordinates, where readings are sums of thousands of operations."""
 NARROW = 0.05
@@ -186,7 +190,7 @@ MARGIN = 1 / 12
 
 @dataclass(frozen=True, eq=False)
 class Polynomial:
-    """A share of the amplitude: sum of `c` (terms,) times products of `powers` (terms, n) of v - middle (n,)."""
+    """A share of the amplitude: sum of `c` (terms,) times `powers` (terms, n) of v - middle (n,)."""
 
     powers: np.ndarray
     middle: np.ndarray
@@ -195,7 +199,9 @@ class Polynomial:
     def __call__(self, variables: Sequence[Any]) -> Any:
         """Return the share at a place (n,), of symbols or arrays."""
         rows = []
-        for value, middle, most in zip(variables, self.middle, self.powers.max(axis=0, initial=0), strict=True):
+        for value, middle, most in zip(
+            variables, self.middle, self.powers.max(axis=0, initial=0), strict=True
+        ):
             row = [None, value - float(middle)]
             while len(row) <= most:
                 row.append(row[-1] * row[1])
@@ -221,8 +227,8 @@ class Taken:
 
 Field = Callable[[np.ndarray], np.ndarray]
 """Places (n, m) -> what ends take there, away from the face and along the period (2, m)."""
-SPREAD = np.array([0.7548776662466927, 0.5698402909980532, 0.8191725133961644])
-"""Steps, in units of the box, of places that fill it evenly: powers of the roots of x^3 = x + 1, x^4 = x + 1."""
+SPREAD = 1.2207440846057596 ** -np.arange(1.0, 4.0)
+"""Steps, in units of the box, of places that fill it evenly: powers of the root of x^4 = x + 1."""
 OVER = 3
 """Places a term of a polynomial is fitted to."""
 TILTED = 0.03
@@ -255,7 +261,9 @@ def least_degree(
             if tried[-1][0] <= aim:
                 break
         left, _, own, design, c = min(tried, key=lambda one: one[:2])
-        if left > LEAVES and share == 1.0:  # of the other, tilts show sides that are no polynomial: waves again
+        if (
+            left > LEAVES and share == 1.0
+        ):  # of the other, tilts show sides that are no polynomial: waves again
             return None
         size = np.prod(half**own, axis=1)
         kept = [_counting(row, design, aim / share / 2) for row in c]
@@ -312,10 +320,11 @@ def across_of(array: Array, sensor: Sensor, turn: int = 1) -> tuple[float, ...]:
 
 @cache
 def under(layout: Layout, turn: int = 1) -> tuple[Taken, ...] | None:
-    """Return what ends of all arrays take at each channel, over its place along and across the array and gap [m].
+    """Return what ends of all arrays take at each channel, over its place in its array and gap [m].
 
-    At an amplitude of 1. `turn`: -1 where the mover is turned half round, and other arrays stand over the
-    channels. None where polynomials of low degree do not give it: near ends and sides.
+    Places are along and across the array, at an amplitude of 1. `turn`: -1 where the mover is turned half
+    round, and other arrays stand over the channels. None where polynomials of low degree do not give it: near ends
+    and sides.
     """
     found: dict[Sensor, Taken] = {}
     for array in arrays(layout).values():

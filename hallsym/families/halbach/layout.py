@@ -115,7 +115,7 @@ class Array:
         )
 
     def box(self, plane: int = 1) -> np.ndarray:
-        """Return least and greatest of one or two coordinates in the `plane` and of the gap (plane + 1, 2) [m]."""
+        """Return least and greatest of one or two coordinates `plane` and of the gap, (plane + 1, 2) [m]."""
         usual = [*(plane * [-USUAL_TRAVEL, USUAL_TRAVEL]), *USUAL_GAPS]
         return np.array(self.known_m or [self.wavelength_m * v for v in usual]).reshape(plane + 1, 2)
 

@@ -68,7 +68,8 @@ def halbach(layout: Layout | None = None) -> Model:
         }.items()
     ]
     if array.ends and array.rival:
-        said = f"ends from those of magnet {array.middle_magnet} in the middle (0) to {array.other.middle_magnet} (1)"
+        magnets = f"{array.middle_magnet} in the middle (0) to {array.other.middle_magnet} (1)"
+        said = f"ends from those of magnet {magnets}"
         parameters.append(Parameter(BETWEEN, 0.0, -50.0, 50.0, "1", said))
     model = Model(
         name="halbach",
@@ -148,7 +149,7 @@ def field(s: Signals, p: Mapping[str, ca.SX], layout: Layout) -> None:
 def ends(s: Signals, p: Mapping[str, ca.SX], layout: Layout) -> ca.SX:
     """Return what the ends of the array take at each channel.
 
-    Its magnets are where the phase of the first harmonic says: its middle lies `shift` beside the nominal one.
+    Its magnets are where the phase of the first harmonic says: its middle is `shift` off the nominal one.
     What moves or places sensors otherwise counts to first order: ends are a percent, and smooth.
     """
     array, turn = array_of(layout), s["turn"]
@@ -205,8 +206,8 @@ def waves(
 ) -> tuple[ca.SX, ca.SX]:
     """Return exp(-h k (z - level)) cos h k (x - x_j) and the sine of it, (channels,): means of the elements.
 
-    What is moved or placed otherwise turns and scales the waves of the logged x and z: exactly. With a `share`
-    that follows z they are times that, and are called `named`.
+    What is moved or placed otherwise turns and scales the waves of the logged x and z: exactly. With
+    a `share` that follows z they are times that, and are called `named`.
     """
     array, places = array_of(layout), [[x for x, _ in sensor.positions] for sensor in sensors(layout)]
     q = h * array.wavenumber
@@ -350,7 +351,7 @@ def with_ends(entry: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _settled(layout: Layout, meta: Meta) -> Layout:
-    """Return the layout with what its log says of the ends of the array: travel, and which magnet is in the middle.
+    """Return the layout with what its log says of its array: travel, and which magnet is in the middle.
 
     A file states that magnet by `middle_magnet`. Without a log it points to the sensors.
     """
@@ -378,7 +379,7 @@ STRAY = 2e-3
 
 
 def _middle(layout: Layout, log: np.ndarray, among: Sequence[int] | None) -> Array:
-    """Return the array with the magnet in its middle, one of `among`, that a log (2 + channels, samples) tells.
+    """Return the array with the magnet in its middle, one of `among`, as a log (2 + channels, samples) tells.
 
     The likelihood of each, where gain, offset, place and harmonics of each channel are its own: the field is
     linear in all but the place of the middle, which the phase of the first harmonic says for each magnet.

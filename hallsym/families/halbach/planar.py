@@ -441,7 +441,7 @@ def from_meta(make: Callable[..., Model], meta: Meta) -> Model:
 
 
 def _settled(layout: Layout, meta: Meta) -> Layout:
-    """Return the layout with the travel of its log, within which a model has the ends; without ends elsewhere."""
+    """Return the layout with the travel of its log, in which a model has the ends; else without ends."""
     known, seen = arrays(layout), sensors(layout)
     if not known or not ended(layout) or any(s.array not in known for s in seen):
         return layout

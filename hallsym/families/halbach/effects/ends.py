@@ -132,9 +132,10 @@ def array_edges(
     """The array has ends, near which its field fades; sensors chosen anew as it travels see them in turn.
 
     `edges` is 1 for the array that the layout states, negative where it is half a wavelength longer; of a
-    model that has the ends already it is the share by which they are stronger. Of an unknown choice, and so of ends of unknown shape, the wave that moves a position is fitted: it repeats
-    every wavelength and does not fade with the gap as a harmonic of the magnets does. With fixed sensors on
-    a board that is longer than the array by a wavelength, x is decoded over all periods, with no reference.
+    model that has the ends already it is the share by which they are stronger. Of an unknown choice, and so
+    of ends of unknown shape, the wave that moves a position is fitted: it repeats every wavelength and does
+    not fade with the gap as a harmonic of the magnets does. With fixed sensors on a board that is longer than
+    the array by a wavelength, x is decoded over all periods, with no reference.
     """
     if reads == "unknown":
         return _unknown(model)
@@ -163,8 +164,8 @@ def stronger(model: Model, reads: str = "fixed") -> Model:
     """The ends are stronger than those of the stated arrays by a share, `edges`."""
     if reads != "fixed":
         raise InputError(
-            f"Model {model.name} has the ends of its arrays under fixed sensors; for those next to the middle state "
-            "ends = false in the table of the array."
+            f"Model {model.name} has the ends of its arrays under fixed sensors; for those next to the "
+            "middle state ends = false in the table of the array."
         )
 
     def step(s: Signals, p: P) -> None:
