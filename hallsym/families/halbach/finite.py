@@ -323,8 +323,8 @@ def under(layout: Layout, turn: int = 1) -> tuple[Taken, ...] | None:
     """Return what ends of all arrays take at each channel, over its place in its array and gap [m].
 
     Places are along and across the array, at an amplitude of 1. `turn`: -1 where the mover is turned half
-    round, and other arrays stand over the channels. None where polynomials of low degree do not give it: near ends
-    and sides.
+    round, and other arrays stand over the channels. None where polynomials of low degree do not give it: near
+    ends and sides.
     """
     found: dict[Sensor, Taken] = {}
     for array in arrays(layout).values():

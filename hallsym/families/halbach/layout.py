@@ -194,6 +194,9 @@ def part_of(entry: Mapping[str, Any], wavelength_m: float | None = None) -> Sens
             "An array may have name, periodic_along (x or y), centre_m, length_m, width_m, wavelength_m, "
             f"thickness_m, magnets_per_period, level_m, ends and middle_magnet; {said}."
         )
+    for key, kind, said in (("ends", bool, "true or false"), ("middle_magnet", int, "a whole number")):
+        if key in entry and type(entry[key]) is not kind:
+            raise InputError(f"Key '{key}' of an array must be {said}; instead received {entry[key]!r}.")
     stated = {key: _positive(entry[key], key) for key in _SIZES if key in entry}
     stated.setdefault("wavelength_m", 0.03 if wavelength_m is None else wavelength_m)
     centre = entry.get("centre_m", (0.0, 0.0))
