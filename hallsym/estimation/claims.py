@@ -59,8 +59,9 @@ def claims_of(fit: Fit, given: Log) -> tuple[Claim, ...]:
     """
     if coarse := tuple(coarse_readings(given, fit.model)):
         return coarse
-    ends = _without_ends(fit)
-    found = mistakes_of(given, fit.model) if ends or not described(fit) else ()
+    fine = described(fit)
+    ends = fine and _without_ends(fit)
+    found = () if fine and not ends else mistakes_of(given, fit.model)
     return found or ((ENDS,) if ends else ())
 
 
@@ -91,7 +92,8 @@ def _without_ends(fit: Fit) -> bool:
     if fit.keep is None or fit.source is None:
         return False
     lost, lost_ends, samples, ends = 0, 0, 0, 0
-    for batch in batches(continuous(fit.source, fit.model), columns_of(fit.model)):
+    log = extended(continuous(fit.source, fit.model), fit.model, fit.noise.std, fit.model.named(fit.values))
+    for batch in batches(log, columns_of(fit.model)):
         out = np.concatenate([fit.keep(block) == 0 for block in batch.blocks])
         at = sorted({place for _, part in batch.parts() for place in (part.start, part.stop - 1)})
         lost, lost_ends = lost + int(out.sum()), lost_ends + int(out[at].sum())
@@ -666,6 +668,8 @@ def _screen(trials: Trials, base: Tried) -> Callable[[Correction], float]:
 EXPLAINS = 0.9
 """Share of the excess that a correction must explain to be named: one that leaves a tenth of it is near the
 right one, not it."""
+CUT_OFF = 4.0
+"""Mean square that steps leave over step^2/12, at most: of numbers cut off, not rounded, step^2/3."""
 EXCESS = 1.5
 """Mean square of the residual over the noise from which on a mistake is looked for: a noise that is stated
 20 % too small is none."""
@@ -889,6 +893,8 @@ def _best(
         if found is None or not found.left:
             return
         left = found.mean(found.left, runs)
+        if c.mistake.keeps and left > CUT_OFF:  # a noise that is larger is not all that is wrong
+            return
         inside = _inside(trials, found, c, runs) if c.kind == "clipped" else 0.0
         same = without_ends(replace(c, columns=())) if c.kind in STEPS else before
         beyond = inside + trials.quieter(c, runs)
