@@ -26,15 +26,17 @@ class Policy:
     and of the gap; of an excess, of the largest wave, of a noise floor. Below the 5 % that are worth
     reporting. A noise floor from 560 samples at rest is known to 3 %."""
     minor: float = 0.1
-    """Share up to which a part is minor: of the excess that is still open; of the threshold that a smaller
-    finding is worth; by which a steady line scatters less than the rest of a spectrum; of the error rate, for
-    a test beside that by signs (by the stated noise, of a step)."""
+    """Share up to which a part is minor: of the excess that named effects leave open in a gap that is
+    explained; of the threshold that a smaller finding is worth; by which a steady line scatters less than the
+    rest of a spectrum; of the error rate, for a test beside that by signs (by the stated noise, of a
+    step)."""
     half: float = 0.5
     """Part above which something is the larger one: of the threshold, for a first, certain effect to be
     taken up, and that a refit must keep of its score; of what a parameter alone makes, that the others
     must leave; of far samples that have others around them; of the best effect's gain, for an effect to
     be refitted exactly; of a curve that one sensor makes if named; of an error, for the
-    reference to be blamed for it. A majority. An effect may be worth
+    reference to be blamed for it; of the variance of the noise, for an error beyond it to stay open in a gap
+    that is explained (1.22 x the floor). A majority. An effect may be worth
     twice as much on the holdout runs, which decide."""
     fewest: int = 6
     """Fewest runs, or units of time, whose scatter is used: for an interval of the shrinkage, sign flips,

@@ -363,8 +363,9 @@ def decide(setup: Setup, found: Validation, noise: ResidualNoise | None = None) 
     """Return "explained" if the named causes close the gap, "no gap" if there is neither cause nor gap.
 
     Named causes must lower the gap by the threshold. A residual that is a gap by itself (`remains`) makes
-    the verdict "unexplained", unless the excess is `noise` (of the model with the found effects): then
-    nothing remains to explain, and without a cause the noise is larger than stated.
+    the verdict "unexplained", unless the causes close nearly all of the excess and what they leave is less
+    than the noise (estimates from few runs are off), or the excess is `noise` (of the model with the found
+    effects): then nothing remains to explain, and without a cause the noise is larger than stated.
     """
     before, after = found.before.metric, found.metric
     named = found.named and 1 - after / before >= setup.threshold
@@ -376,9 +377,12 @@ def decide(setup: Setup, found: Validation, noise: ResidualNoise | None = None) 
         gap = gap or metric > worth_reporting(found.floor, setup.threshold)
     if not named and not loud:
         gap = gap or material(setup, found.end)
-    if gap:
-        return "unexplained"
-    return "explained" if named else LARGER if loud else "no gap"
+    if named:
+        floor, policy = found.floor.metric, setup.policy
+        most = closed(before, after, floor) >= 1 - policy.minor
+        small = after**2 - floor**2 <= policy.half * floor**2
+        return "explained" if not gap or (most and small) else "unexplained"
+    return "unexplained" if gap else LARGER if loud else "no gap"
 
 
 def material(setup: Setup, base: Base) -> bool:
