@@ -353,9 +353,8 @@ def phasor_of(window: Window, members: Sequence[int], weight: np.ndarray, exact:
         )
     strongest = np.exp(sample.half / lc) ** np.arange(1, HARMONICS + 1)
     size = np.abs(factor).max(axis=0) * strongest
-    lost = max(
-        LOST, left if model.nearly else 10 * left
-    )  # harmonics of a wave with ends stand out of the rest
+    # harmonics of a wave with ends stand out of the rest
+    lost = max(LOST, left if model.nearly else 10 * left)
     harmonics = tuple(n for n in range(2, HARMONICS + 1) if size[n - 1] > lost * size[0])
     matrix = np.stack([factor[:, 0].real, -factor[:, 0].imag], axis=1)
     scaled = matrix.T * weight[channels]

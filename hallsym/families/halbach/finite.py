@@ -23,12 +23,13 @@ HARMONICS = (1, 5, 9)
 def magnets_of(array: Array) -> tuple[np.ndarray, np.ndarray]:
     """Return the borders (n + 1,) [m] of the magnets of an array from its middle, and their numbers (n,).
 
-    The middle magnet, number 0, points to the sensors; the last ones are cut where the array ends.
+    Number 0 points to the sensors; the last magnets are cut where the array ends.
     """
     pitch, half = array.wavelength_m / array.magnets_per_period, array.length_m / 2
-    inner = [b for i in range(round(half / pitch) + 1) if (b := (i + 0.5) * pitch) < half * (1 - 1e-9)]
-    borders = np.array([-half, *(-b for b in reversed(inner)), *inner, half])
-    return borders, np.round((borders[:-1] + borders[1:]) / 2 / pitch).astype(int)
+    shift, reach = array.middle_magnet / 2, int(half / pitch) + 6
+    inner = (np.arange(-reach, reach + 1) + 0.5 - shift) * pitch
+    borders = np.r_[-half, inner[np.abs(inner) < half * (1 - 1e-9)], half]
+    return borders, np.round((borders[:-1] + borders[1:]) / 2 / pitch + shift)
 
 
 def strength(array: Array, h: int) -> float:
@@ -50,7 +51,7 @@ def finite(array: Array, u: ca.SX, gap: ca.SX) -> tuple[ca.SX, ca.SX]:
     """
     n, q = array.magnets_per_period, array.wavenumber
     size = float(np.exp(q * array.level_m) / filled(array, 1) / (2 * pi))
-    borders, numbers = magnets_of(array)
+    borders, numbers = magnets_of(replace(array, middle_magnet=0))
     corners = []
     for border in borders:
         away = u - float(border)
@@ -103,7 +104,8 @@ def cuboids(
     neighbours only the differences at their borders count (Furlani, Permanent Magnet and Electromechanical
     Devices, Academic Press 2001, section 4.2).
     """
-    borders, directions = magnets(array)
+    borders, numbers = magnets_of(array)
+    directions = pi / 2 - 2 * pi / array.magnets_per_period * numbers  # from the period's axis
     along, up = (np.diff(np.r_[0.0, f(directions), 0.0]) for f in (np.cos, np.sin))
     logarithm, below, beside = np.zeros((3, len(borders), len(u)))
     x = borders[:, None] - u
@@ -116,19 +118,6 @@ def cuboids(
             beside += sign * np.arctan2(z * side, x * far)
     size = np.exp(array.wavenumber * array.level_m) / filled(array, 1) / (4 * pi)
     return -size * (along @ logarithm + up @ below), -size * (up @ logarithm + along @ beside)
-
-
-def magnets(array: Array) -> tuple[np.ndarray, np.ndarray]:
-    """Return the borders (n + 1,) [m] of the magnets from the middle of the array and their directions (n,).
-
-    Directions [rad] from its period's axis; the last magnets are cut where the array ends.
-    """
-    pitch, half = array.wavelength_m / array.magnets_per_period, array.length_m / 2
-    shift, reach = array.middle_magnet / 2, int(half / pitch) + 6
-    inner = (np.arange(-reach, reach + 1) + 0.5 - shift) * pitch
-    borders = np.r_[-half, inner[np.abs(inner) < half * (1 - 1e-9)], half]
-    numbers = np.round((borders[:-1] + borders[1:]) / 2 / pitch + shift)
-    return borders, pi / 2 - 2 * pi / array.magnets_per_period * numbers
 
 
 IDEAL = (1, 5, 9, 13)
@@ -261,9 +250,8 @@ def least_degree(
             if tried[-1][0] <= aim:
                 break
         left, _, own, design, c = min(tried, key=lambda one: one[:2])
-        if (
-            left > LEAVES and share == 1.0
-        ):  # of the other, tilts show sides that are no polynomial: waves again
+        # of the field along the period, tilts show sides that are no polynomial: waves again
+        if left > LEAVES and share == 1.0:
             return None
         size = np.prod(half**own, axis=1)
         kept = [_counting(row, design, aim / share / 2) for row in c]

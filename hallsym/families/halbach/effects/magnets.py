@@ -11,6 +11,7 @@ from types import MappingProxyType
 import casadi as ca
 import numpy as np
 
+from hallsym.families.halbach.finite import filled
 from hallsym.families.halbach.layout import Array, arrays, sensors
 from hallsym.families.halbach.links import Seen
 from hallsym.families.mechanisms import P, free
@@ -61,11 +62,10 @@ def of_magnets(
     none = ca.SX(0)
 
     def seen_by(e: Seen) -> ca.SX:
-        array, n, of = e.array, e.array.magnets_per_period, sorted(set(which[e.array.name]))
+        array, of = e.array, sorted(set(which[e.array.name]))
         if not of:
             return none
-        filled = np.sin(pi / n) / (pi / n) * (1 - np.exp(-array.wavenumber * array.height))
-        size = s["amplitude"] * np.exp(array.wavenumber * array.level_m) / filled / (2 * pi)
+        size = s["amplitude"] * np.exp(array.wavenumber * array.level_m) / filled(array, 1) / (2 * pi)
         made = (ca.vertcat(*(part.get((array.name, i), none) for i in of)) for part in (shares, turns))
         return _magnets(array, tuple(of))(e.u - s["crest"], e.height, e.up, e.along, size, *made)
 
