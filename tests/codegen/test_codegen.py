@@ -15,8 +15,6 @@ import pytest
 from firmware import CASES, GOLDEN, calibration, four_probes, made, with_effect
 from hypothesis import given
 from hypothesis import strategies as st
-from msgspec import structs
-from twins import with_arrays
 
 from hallsym.cli.main import main
 from hallsym.codegen import decouple, generate
@@ -251,50 +249,6 @@ def stated(text):
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        (lambda f: f.changed(status="interrupted"), "did not converge"),
-        (lambda f: f.changed(undetermined_by_log=("a_A",)), "does not determine a_A"),
-        (lambda f: f.changed(log=structs.replace(f.log, span={})), "--range x_m"),
-        (lambda f: with_arrays(f, values=np.append(np.nan, f.values[1:])), "not finite"),
-    ],
-)
-def test_a_calibration_that_a_controller_cannot_trust_is_refused(change, says):
-    with pytest.raises(InputError, match=says) as error:
-        generate(change(calibration()))
-    assert str(error.value).count(". ") <= 1
-
-
-@pytest.mark.parametrize(
-    ("name", "effect"),
-    [
-        ("time_skew", "time_skew"),
-        ("first_order_lag", "first_order_lag:per=probe"),
-        ("hysteresis", "hysteresis:half_width_m=1e-5"),
-        ("mains_hum", "mains_hum:frequency_hz=50"),
-        ("offset_time_drift", "offset_time_drift:duration_s=60,degree=2"),
-    ],
-)
-def test_effects_with_a_history_are_refused_by_name(name, effect):
-    effect = stated(effect)
-    with pytest.raises(InputError, match=rf"with .*{name} needs \w.* from a whole log") as error:
-        generate(with_effect(effect, 1e-3))
-    assert str(error.value).count(". ") == 0
-
-
-@pytest.mark.parametrize(
-    ("effect", "says"),
-    [
-        ("saturation:low_m=-4e-4/-4e-4/-4e-4,high_m=4e-4/4e-4/4e-4", "no polynomial of pose and state"),
-        ("cross_axis_sensitivity:order=3", "spread too far"),
-    ],
-)
-def test_effects_that_have_no_bounded_c_are_refused(effect, says):
-    with pytest.raises(InputError, match=says):
-        generate(with_effect(stated(effect), 0.01))
-
-
-@pytest.mark.parametrize(
     "name",
     ["height_quadratic", "cross_axis_sensitivity", "second_order_rotation", "vertical_offset_coupling",
      "reference_abbe_error"],
@@ -325,27 +279,11 @@ def test_a_logged_temperature_is_one_more_input():
     assert any(e.name == "gain_hall_a_temperature" and e.unit == "1/degC" for e in code.decoupler.table)
 
 
-def test_a_gain_that_crosses_zero_in_the_box_is_refused():
-    with pytest.raises(InputError, match="gain of hall_a_m falls to"):
-        generate(calibration(), ranges={"z_m": (-5e-3, 5e-3)})
-
-
 def test_undetermined_parameters_are_used_only_when_told_to():
     fit = calibration().changed(undetermined_by_log=("a_A", "b_A"))
     code = generate(fit, allow_undetermined=True)
     assert any("a_A, b_A" in note for note in code.notes)
     assert any("H1x, H1y" in note and "combinations" in note for note in code.notes)
-
-
-def test_readings_that_are_no_polynomial_are_refused():
-    def bump(model):
-        def step(s, p):
-            s["gain"] = s["gain"] * ca.exp(100 * s["z_m"])
-
-        return model.with_step("transducer", step, effect="bump")
-
-    with pytest.raises(InputError, match="polynomials"):
-        generate(with_effect(bump))
 
 
 # -- double ------------------------------------------------------------------------------------------------

@@ -1,6 +1,7 @@
-"""The generated C itself: golden copy, compilers, this machine and a Cortex-M in QEMU, proofs, MISRA.
+"""The generated C of a stage: golden copy, status and zeros, interrupts, damaged tables, C++ and CMake.
 
-What is missing is skipped with its name; in continuous integration everything must be there.
+What holds for C of every kind is in `test_codegen_every`. What is missing is skipped with its name; in
+continuous integration everything must be there.
 """
 
 import re
@@ -9,31 +10,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 from firmware import (
-    CASES,
     GOLDEN,
     PATHS,
     STRICT,
-    TESTED,
     Library,
     calibration,
-    every_input,
     instructions,
     made,
     need,
-    passes,
     proved_by_eva,
     ran,
-    undefined_symbols,
     written,
 )
-from hypothesis import given
-from hypothesis import strategies as st
 
 from hallsym.cli.main import main
 from hallsym.codegen import Generated
 from hallsym.codegen.cost import firmware_cost
-
-CORTEX_M0 = ("MACHINE=microbit", "CPU=-mcpu=cortex-m0 -mthumb")
 
 
 @pytest.fixture(scope="module")
@@ -79,31 +71,7 @@ def test_the_whole_footprint_is_printed(golden):
     assert all(f"decoupler_{part}" in stack for part in parts[:-1])
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("compiler", "level"), [("gcc", "-O0"), ("clang", "-O3")])
-def test_compilers_warn_of_nothing_and_give_the_stated_bits(golden, compiler, level):
-    passes(golden, level, compiler=compiler)
-
-
-@pytest.mark.slow
-def test_doubles_pass_their_self_test(tmp_path):
-    passes(written(made("stage31", double=True), tmp_path / "fw"))
-
-
 # -- behaviour, through the compiled library ---------------------------------------------------------------
-
-BITS = st.lists(st.integers(0, 2**32 - 1), min_size=6, max_size=6)
-
-
-@given(BITS)
-def test_whatever_the_bits_c_and_its_emulation_agree(compiled, bits):
-    library, code = compiled
-    inputs = np.array(bits, dtype=np.uint32).view(np.float32)
-    pose, status = library.step(inputs)
-    expected, flags = code.backend.step(inputs[:, None])
-    assert status == flags[0]
-    assert pose.tobytes() == expected[:, 0].tobytes()
-    assert np.isfinite(pose).all()
 
 
 def test_each_bit_is_its_own_input(compiled):
@@ -192,25 +160,6 @@ def test_an_interrupt_while_a_zero_is_taken_sees_the_old_one(case, arithmetic, t
     ran(folder, "./interrupted")
 
 
-@pytest.mark.parametrize("case", ["exact_rotation", pytest.param("cubic", marks=pytest.mark.slow)])
-def test_the_zero_of_a_non_linear_model(tmp_path, case):
-    need("gcc")
-    fit, code = CASES[case](), made(case)
-    library = Library(written(code, tmp_path / "fw"), code.decoupler, code.backend.real.dtype)
-    rng = np.random.default_rng(2)
-    delta, state, known = (
-        rng.uniform(-8e-6, 8e-6, 3),
-        rng.uniform(-2e-4, 2e-4, 3),
-        np.array([1e-4, -5e-5, 2e-4]),
-    )
-    # delta is seen by the non-linear field like a displacement: a zero is exact at the pose it was taken at
-    inputs = np.concatenate([np.asarray(fit.model.reading(fit.values, delta, known, state)).ravel(), state])
-    assert library.zero(inputs, known) == 0
-    found, status = library.step(inputs)
-    assert status == 0
-    assert np.abs(found - known).max() < 2e-9
-
-
 def test_a_damaged_table_is_found(compiled):
     library, code = compiled
     before = library.table.copy()
@@ -247,74 +196,28 @@ def test_a_damaged_table_is_found(compiled):
         library.table[:] = before
 
 
-# -- Cortex-M ------------------------------------------------------------------------------------------------
+@pytest.mark.slow
+def test_the_estimate_of_a_cost_follows_what_is_counted(tmp_path):
+    """It is that of the arithmetic alone."""
+    cases = ("stage31", "user's height_quadratic")
+    plain, bent = (instructions(made(c), written(made(c), tmp_path / c[:7]))[0] for c in cases)
+    costs = [firmware_cost(made(case).decoupler) for case in cases]
+    assert [c.table for c in costs] == [len(made(case).backend.binary) for case in cases]
+    low, high = (cost.instructions for cost in costs)
+    assert high - low == pytest.approx(bent - plain, abs=1)
+    assert 0.6 * plain < low < plain
 
 
 @pytest.mark.slow
-def test_same_bits_on_a_cortex_m4f(golden):
-    need("arm-none-eabi-gcc", "qemu-system-arm", "make")
-    said = ran(golden, "make", "qemu")
-    assert said.count("as stated") == 2
-
-
-M3 = ("MACHINE=mps2-an385", "CPU=-mcpu=cortex-m3 -mthumb")
-M7 = ("MACHINE=mps2-an500", "CPU=-mcpu=cortex-m7 -mthumb -mfloat-abi=hard -mfpu=fpv5-sp-d16")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("machine", [CORTEX_M0, M3, M7], ids=["M0", "M3", "M7"])
-def test_same_bits_on_other_cores(golden, machine):
-    need("arm-none-eabi-gcc", "qemu-system-arm", "make")
-    ran(golden, "make", "clean")
-    assert ran(golden, "make", "qemu", *machine).count("as stated") == 2
-    ran(golden, "make", "clean")
-
-
-@pytest.mark.slow
-def test_instructions_on_a_cortex_m4f_and_nothing_static_nothing_from_libraries(tmp_path):
-    """The estimate of `firmware_cost` is that of the arithmetic alone."""
-    typical = {}
-    for case in ("stage31", "user's height_quadratic"):
-        code, folder = made(case), tmp_path / case.partition("'")[0]
-        typical[case], *others = instructions(code, written(code, folder))
-        assert undefined_symbols(folder) == {"decoupler_crc"}  # decoupler_check.c
-        assert firmware_cost(code.decoupler).table == len(code.backend.binary)
-        if case == "stage31":
-            assert typical[case] <= 102
-            assert max(others) <= 122
-    estimated = {case: firmware_cost(made(case).decoupler).instructions for case in typical}
-    plain, bent = typical
-    assert estimated[bent] - estimated[plain] == pytest.approx(typical[bent] - typical[plain], abs=1)
-    assert 0.6 * typical[plain] < estimated[plain] < typical[plain]
-
-
-# -- proofs and MISRA ----------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_cppcheck_finds_no_misra_violation_that_is_not_listed(golden):
-    need("cppcheck", "make")
-    ran(golden, "make", "misra")
-
-
-LATER = [pytest.param(c, marks=pytest.mark.slow) for c in ("four probes", "exact_rotation")]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("case", ["stage31", *LATER])
-def test_eva_raises_no_alarm(tmp_path, case):
+@pytest.mark.parametrize("case", ["stage31", "four probes", "exact_rotation"])
+def test_eva_proves_slopes_too_and_notices_a_gain_that_comes_to_nothing(tmp_path, case):
     folder = written(made(case, jacobian=True), tmp_path / "fw")
     proved_by_eva(folder)
     proof = folder / "proof/eva.c"
     wider = re.sub(r"(table.gain_hall_a = Frama_C_float_interval\()[^,]*", r"\g<1>0.0f", proof.read_text())
     proof.write_text(wider)
-    with pytest.raises(AssertionError):  # a gain that comes to nothing
+    with pytest.raises(AssertionError):
         proved_by_eva(folder)
-
-
-@pytest.mark.slow
-def test_every_bit_pattern_passes_the_range_test(golden):
-    every_input(golden)
 
 
 def test_the_header_is_also_cpp(golden, tmp_path):
@@ -331,20 +234,6 @@ def test_the_header_is_also_cpp(golden, tmp_path):
     objects = [str(p) for p in sorted(tmp_path.glob("*.o"))]
     ran(golden, *cpp, *PATHS, str(user), *objects, "-o", str(tmp_path / "user"))
     ran(golden, str(tmp_path / "user"))  # links by extern "C"; status 0: zero is in the box
-
-
-@pytest.mark.slow
-def test_the_self_test_runs_every_line_and_takes_every_branch_of_a_sample(golden, tmp_path):
-    need("gcc", "gcov")
-    out = str(tmp_path / "selftest")
-    sources = [str(golden / name) for name in TESTED]
-    include = [f"-I{golden}", f"-I{golden / 'test'}"]
-    ran(tmp_path, "gcc", "-std=c99", "-O0", "--coverage", *include, *sources, "-o", out)
-    ran(tmp_path, out)
-    said = ran(tmp_path, "gcov", "-b", "-n", *map(str, tmp_path.glob("*-decoupler.gcda")))
-    own = said[said.index("decoupler.c'") :]
-    assert "Lines executed:100.00%" in own
-    assert "Taken at least once:100.00%" in own
 
 
 @pytest.mark.slow

@@ -1,7 +1,8 @@
 """What holds for generated code of every kind, whatever the family and the arithmetic.
 
-Independent facts: random inputs and any bits; the compiler's own sanitizers; the bits of another processor;
-instructions counted one by one in QEMU; cppcheck; Frama-C EVA.
+Independent facts: readings of a known pose; random inputs and any bits; float32 beside double; a zero; the
+compiler's own sanitizers; the bits of another processor; instructions counted one by one in QEMU; cppcheck;
+Frama-C EVA; gcov.
 """
 
 from collections.abc import Callable
@@ -18,11 +19,14 @@ import test_codegen_rotary as encoders
 import test_codegen_travel as travel
 import test_codegen_waves as waves
 from firmware import (
+    CASES,
     PATHS,
     SANITIZED,
     TESTED,
+    Library,
     every_input,
     instructions,
+    made,
     need,
     passes,
     proved_by_eva,
@@ -31,21 +35,29 @@ from firmware import (
     written,
 )
 
+import hallsym
 from hallsym.codegen import Generated
 from hallsym.codegen.bounds import PoseByPose
+from hallsym.codegen.box import box_of
+from hallsym.codegen.decoupler import short, steps_on_arrays
+from hallsym.model import on_arrays
 
+M0 = ("MACHINE=microbit", "CPU=-mcpu=cortex-m0 -mthumb")
 M3 = ("MACHINE=mps2-an385", "CPU=-mcpu=cortex-m3 -mthumb")
+M4 = ("MACHINE=mps2-an386", "CPU=-mcpu=cortex-m4 -mthumb")
 M7 = ("MACHINE=mps2-an500", "CPU=-mcpu=cortex-m7 -mthumb -mfloat-abi=hard -mfpu=fpv5-sp-d16")
+M7_INTEGERS = ("MACHINE=mps2-an500", "CPU=-mcpu=cortex-m7 -mthumb")
 
 
 @dataclass(frozen=True)
 class Kind:
-    """Generated code; most instructions of a call in range and of any; `quick`: tried in a fast run too.
+    """Generated code and its calibration; most instructions of a call in range and of any.
 
-    `cores`: other than its own whose bits are compared.
+    `quick`: tried in a fast run too. `cores`: other than its own whose bits are compared.
     """
 
     made: Callable[[], Generated]
+    fit: Callable[[], hallsym.Fit]
     most: tuple[int, int] | None = None
     quick: bool = False
     cores: tuple[tuple[str, ...], ...] | None = None
@@ -55,42 +67,200 @@ def one(limit: int) -> tuple[int, int]:
     return limit, limit
 
 
+def stage(case, most=None, quick=False, cores=None, **variant):
+    return Kind(lambda: made(case, **variant), CASES[case], most, quick, cores)
+
+
+def wave(case, *given):
+    return Kind(lambda: waves.made(case), lambda: waves.fit_of(case), *given)
+
+
+def mover(case, *given):
+    return Kind(lambda: arrays.made(case), lambda: arrays.fit_of(case), *given)
+
+
+def encoder(case, form, limit):
+    quick = (case, form) in encoders.QUICK
+    return Kind(
+        lambda: encoders.made(case, form), lambda: encoders.fit_of(case, form), limit and one(limit), quick
+    )
+
+
 EVERY = {
-    "three sums": Kind(waves.made, one(190), True, (M3,)),
-    "five sums": Kind(lambda: waves.made("five sums"), None, False, (M7,)),
-    "first harmonic alone": Kind(lambda: waves.made("first harmonic alone")),
-    "second harmonic": Kind(lambda: waves.made("second harmonic, another wavelength")),
-    "12 sums": Kind(lambda: arrays.made("12 sums"), None, True),
-    "closed form of 12 sums": Kind(lambda: arrays.made("closed form of 12 sums"), (520, 620)),
-    "24 sums": Kind(lambda: arrays.made("24 sums"), (2800, 15_000)),
-    "many periods": Kind(lambda: arrays.made("many periods")),
-    "rows": Kind(movers.made, one(4800)),
-    "travel": Kind(travel.made, cores=()),
-    "five Halls q31": Kind(lambda: faults.made_of("five Halls", "q31"), (1300, 8500)),
+    "stage31": stage("stage31", (102, 122), True, (M0, M3, M7)),
+    "stage31 double": stage("stage31", double=True),
+    "four probes": stage("four probes"),
+    "exact_rotation": stage("exact_rotation", quick=True),
+    "cubic": stage("cubic"),
+    "stage31 q31": stage("stage31", one(850), True, (M3, M4, M7_INTEGERS), arithmetic="q31"),
+    "four probes q31": stage("four probes", arithmetic="q31"),
+    "three sums": wave("three sums", one(190), True, (M3,)),
+    "five sums": wave("five sums", None, False, (M7,)),
+    "first harmonic alone": wave("first harmonic alone"),
+    "second harmonic": wave("second harmonic, another wavelength"),
+    "halbach": wave("halbach"),
+    "12 sums": mover("12 sums", None, True),
+    "closed form of 12 sums": mover("closed form of 12 sums", (520, 620)),
+    "24 sums": mover("24 sums", (2800, 15_000)),
+    "many periods": mover("many periods"),
+    "rows": Kind(movers.made, movers.fit_of, one(4800)),
+    "travel": Kind(travel.made, travel.fit_of, cores=()),
+    "five Halls q31": Kind(
+        lambda: faults.made_of("five Halls", "q31"), lambda: faults.fit_of("five Halls"), (1300, 8500)
+    ),
     **{
-        f"{case} {form}": Kind(
-            lambda c=case, f=form: encoders.made(c, f), limit and one(limit), (case, form) in encoders.QUICK
-        )
-        for (case, form), limit in {
-            **dict.fromkeys([(c, f) for c in encoders.CASES for f in encoders.LAYOUTS]),
-            ("ellipse", "volts"): 130,
-            ("meng", "angle"): 170,
-        }.items()
+        f"{case} {form}": encoder(case, form, {("ellipse", "volts"): 130, ("meng", "angle"): 170}.get(
+            (case, form)
+        ))
+        for case in encoders.CASES for form in encoders.LAYOUTS
     },
     **{
-        f"{case} {kind}": Kind(lambda c=case, a=accuracy, k=kind: correction.made(c, a, k), one(limit))
+        f"{case} {kind}": Kind(
+            lambda c=case, a=accuracy, k=kind: correction.made(c, a, k),
+            lambda c=case: correction.fit_of(c), one(limit),
+        )
         for case, accuracy, kind, limit in (
             ("clipped", 5e-3, "auto", 182), ("clipped", 1e-3, None, 182), ("meng angle", None, "table", 100)
         )
     },
     **{
         f"{case} q31": Kind(
-            lambda c=case, a=accuracy: integers.made(c, a), one(limit), case == "meng angle"
+            lambda c=case, a=accuracy: integers.made(c, a), lambda c=case: correction.fit_of(c), one(limit),
+            case == "meng angle",
         )
         for (case, accuracy), limit in zip(integers.CASES, (40, 515, 490, 415), strict=True)
     },
 }  # fmt: skip
 EACH = [pytest.param(n, marks=() if k.quick else pytest.mark.slow) for n, k in EVERY.items()]
+
+
+def poses_of(name, count, seed=3):
+    """Random poses and states (n, s) of the box of a calibration; of what repeats, within half a period."""
+    fit, rng = EVERY[name].fit(), np.random.default_rng(seed)
+    model, box = fit.model, box_of(fit)
+    low, high = np.array([box.ends[c] for c in (*model.pose, *model.state)]).T[..., None]
+    half = [[0.5 if c in model.period else 1.0] for c in (*model.pose, *model.state)]
+    return half * (low + (high - low) * rng.random((len(low), count)))
+
+
+def inputs_of(name, at, near=0.0):
+    """Readings [SI] at poses and states by the model's own equation, and what says the period."""
+    fit, d = EVERY[name].fit(), EVERY[name].made().decoupler
+    pose, state = np.split(at, [len(d.pose)])
+    read = on_arrays(fit.model.reading)(fit.values, np.zeros(len(fit.model.offsets)), list(pose), list(state))
+    rows = dict(zip((*fit.model.channels, *fit.model.state), (*read[0], *state), strict=True))
+    for c, row in rows.items():
+        if c in fit.model.period:  # as a chip gives it
+            rows[c] = row - fit.model.period[c] * np.round(row / fit.model.period[c])
+    rows |= {f"{short(c)}_near_m": row + near for c, row in zip(d.pose, pose, strict=True)}
+    return np.array([rows[c] for c in d.inputs])
+
+
+def numbers_of(backend, inputs):
+    """Inputs [SI] as numbers of an arithmetic, and what these are in SI."""
+    scale = np.array([[port.scale] for port in backend.inputs])
+    made_ = backend._rounded(np.clip(inputs / scale, *(side.astype(float) for side in backend.span)))
+    return made_, made_.astype(float) * scale
+
+
+def si(backend, pose):
+    return pose.astype(float) * np.array([[port.scale] for port in backend.outputs])
+
+
+@pytest.mark.parametrize("name", EACH)
+def test_readings_of_a_pose_give_it_back(name):
+    """The decoder of the reference inverts the model; the code is as near to it as it says."""
+    code, at = EVERY[name].made(), poses_of(name, 1000)
+    backend, d, pose = code.backend, code.decoupler, at[: len(code.decoupler.pose)]
+    inputs = inputs_of(name, at, np.random.default_rng(1).uniform(-0.2, 0.2, 1000) * waves.LENGTH)
+    exact = np.abs(d.difference(d.exact(inputs), pose)).max(axis=1)
+    given, rounded = numbers_of(backend, inputs)
+    moved = np.abs(d.difference(d.exact(rounded), pose)).max(axis=1)
+    found, status = backend.step(given)
+    off = np.abs(d.difference(si(backend, found), pose)).max(axis=1)
+    assert not status.any()
+    assert (off <= np.array([backend.error_bound[c] for c in d.pose]) + moved).all()
+    assert (exact < (1e-9 if not name.startswith("clipped") else 1e-7)).all()
+
+
+@pytest.mark.parametrize("name", EACH)
+def test_rounding_stays_within_its_bound_of_weak_fields_too(name):
+    """The same arithmetic in float32 and in double; where a polynomial turns it leaves twice what it may."""
+    code = EVERY[name].made()
+    d, backend = code.decoupler, code.backend
+    if backend.type != "float" or not isinstance(d.bounded, PoseByPose):
+        return
+    given, rounded = numbers_of(backend, d.bounded.drawn(np.random.default_rng(8), 20_000))
+    exact = steps_on_arrays(d)(rounded, d.constants)[0]
+    off = np.abs(d.difference(backend.step(given)[0].astype(float), exact))
+    bound = np.array([code.bounds.error[c] for c in d.pose])
+    assert (np.quantile(off, 0.9, axis=1) <= bound).all()
+    assert (off.max(axis=1) <= bound + 2 * np.array([d.left(c) for c in d.pose])).all()
+    assert (off.max(axis=1) > bound / 50).all()  # of many readings not all round alike
+
+
+ZEROS = ("exact_rotation", "ellipse volts", "three sums", "meng angle q31")
+
+
+@pytest.mark.parametrize("name", [*ZEROS, pytest.param("cubic", marks=pytest.mark.slow)])
+def test_a_zero_is_taken_wherever_the_machine_is(name, tmp_path):
+    need("gcc")
+    code, at, known = EVERY[name].made(), poses_of(name, 30), poses_of(name, 30, seed=4)
+    backend, d = code.backend, code.decoupler
+    kind = faults.KINDS_OF_NUMBERS[backend.inputs[0].type]
+    library = Library(written(code, tmp_path / "fw"), d, np.dtype(kind))
+    most = 3 * np.array([code.backend.error_bound[c] for c in d.pose])
+    given = numbers_of(backend, inputs_of(name, at))[0]
+    for inputs, zero in zip(given.T, known[: len(d.pose)].T, strict=True):
+        wanted = zero / [port.scale for port in backend.outputs]
+        assert library.zero(inputs, wanted if kind == "f4" else np.round(wanted).astype(np.int64)) == 0
+        pose, status = library.step(inputs)
+        assert status == 0
+        assert (np.abs(d.difference(si(backend, pose[:, None]), zero[:, None]))[:, 0] <= most).all()
+    assert library.check() == 0
+
+
+FIELD, TILTED, COVER = 0x40000000, 0x20000000, 0x10000000
+SLOW = pytest.mark.slow
+ELSEWHERE = [
+    ("three sums", 1, 0.0025, FIELD), ("three sums", 1, 0.05, FIELD), ("12 sums", 2, 0.013, FIELD),
+    ("12 sums", 2, 0.5, FIELD), ("12 sums", 3, 0.02, TILTED),
+    *(pytest.param(*row, marks=SLOW) for row in (
+        ("rows", 2, 0.012, FIELD), ("rows", 3, 0.03, TILTED), ("rows", 0, 0.051, COVER), ("rows", 0, 0.2, 0),
+        ("travel", 0, 0.15, 0), ("travel", 1, 1.5e-3, FIELD)
+    )),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "coordinate", "value", "bit"), ELSEWHERE)
+def test_a_machine_beyond_its_box_raises_a_flag(name, coordinate, value, bit):
+    """0: some flag."""
+    backend, at = EVERY[name].made().backend, poses_of(name, 100)
+    at[coordinate] = value
+    found, status = backend.step(numbers_of(backend, inputs_of(name, at))[0])
+    assert (status & bit == bit).all()
+    assert status.all()
+    assert np.isfinite(found).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "reach", "level", "tilt"),
+    [
+        ("rows", movers.REACH, [2e-3, -1e-3, 5e-3, 3e-3, -2e-3, 2e-3], 5e-6),
+        ("travel", travel.REACH, [0, 5e-3], 0),
+    ],
+)
+def test_no_coordinate_steps_as_sensors_come_and_go(name, reach, level, tilt):
+    """From end to end of the board in steps of 10 um: every sensor comes and goes."""
+    backend, at = EVERY[name].made().backend, np.arange(-reach, reach, 1e-5)
+    for axis in range(2 if tilt else 1):
+        pose = np.tile(np.array(level)[:, None], len(at))
+        pose[axis] = at
+        off = backend.step(numbers_of(backend, inputs_of(name, pose))[0])[0] - pose
+        moved = np.abs(np.diff(off, axis=1)).max(axis=1)
+        assert (moved[:3] < 5e-7).all()
+        assert (moved[3:] < tilt).all()
 
 
 @pytest.mark.parametrize("name", EACH)
@@ -140,7 +310,7 @@ def test_bits_and_instructions_on_a_controller_and_what_tools_find(name, tmp_pat
         ran(folder, "make", "misra")
     if code.decoupler.evident:
         proved_by_eva(folder, integers=code.backend.type == "q31")
-    if name in ("meng angle q31", "ellipse volts q31"):
+    if name in ("stage31", "stage31 q31", "meng angle q31", "ellipse volts q31"):
         every_input(folder)
 
 
@@ -152,7 +322,7 @@ def test_eva_raises_no_alarm(name, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", ["ellipse volts", "meng angle", "meng angle q31", "meng volts q31", "five Halls q31"]
+    "name", ["stage31", "ellipse volts", "meng angle", "meng angle q31", "meng volts q31", "five Halls q31"]
 )
 def test_the_self_test_runs_every_line_and_branch(name, tmp_path):
     need("gcc", "clang", "gcov")

@@ -9,11 +9,6 @@ from math import pi
 
 import numpy as np
 import pytest
-from firmware import (
-    Library,
-    need,
-    written,
-)
 from hypothesis import given
 from hypothesis import strategies as st
 from test_codegen_correction import fit_of
@@ -23,7 +18,6 @@ from hallsym.cli.main import main
 from hallsym.codegen import generate
 from hallsym.codegen import integer_c as turns
 from hallsym.errors import InputError
-from hallsym.model import on_arrays
 
 CASES = [("meng angle", None), ("meng volts", None), ("ellipse volts", None), ("clipped", 5e-3)]
 
@@ -75,20 +69,6 @@ def test_a_table_that_does_not_fit_is_refused():
 
 
 @pytest.mark.parametrize(("case", "accuracy"), CASES)
-def test_readings_of_the_model_give_its_angle_back(case, accuracy):
-    source, fit = made(case, accuracy).backend, fit_of(case)
-    p = source.program
-    angle = np.random.default_rng(5).uniform(-pi, pi, 20_000)
-    readings = on_arrays(fit.model.reading)(fit.values, [], [angle], [])[0]
-    units = np.array([[port.scale] for port in source.inputs])
-    pose, status = source.step(np.round(readings / units).astype(np.int64))
-    off = turned(pose[0] * turns.UNIT - angle).max()
-    assert not status.any()
-    assert off <= p.bounds["angle_rad"][2] + 2 * units.max()
-    assert p.bounds["angle_rad"][2] <= 33 / 32 * (accuracy or 1e-5) + 1e-6
-
-
-@pytest.mark.parametrize(("case", "accuracy"), CASES)
 def test_stated_bounds_hold_over_random_inputs(case, accuracy):
     met = made(case, accuracy).backend.errors(200_000, seed=3)["angle_rad"]
     bound = made(case, accuracy).backend.program.bounds["angle_rad"][2]
@@ -132,37 +112,7 @@ def test_an_encoder_that_needs_no_correction_has_no_table():
 # -- the C itself --------------------------------------------------------------------------------------------
 
 
-def test_a_zero_is_taken_all_round_and_a_damaged_table_found(tmp_path):
-    need("gcc")
-    library = Library(written(made("meng angle"), tmp_path / "fw"), made("meng angle").decoupler, np.uint32)
-    assert library.table.tobytes() == made("meng angle").backend.binary
-    for angle, known in np.random.default_rng(1).integers(0, 2**32, (50, 2), dtype=np.uint32):
-        assert library.zero(np.array([angle]), np.array([known])) == 0
-        assert library.step(np.array([angle])) == (known, 0)
-    assert library.check() == 0
-    for byte in range(16, len(library.table) - 8, 7):
-        library.table[byte] ^= 1
-        assert library.check() == 0x04
-        library.table[byte] ^= 1
-
-
 # -- options -------------------------------------------------------------------------------------------------
-
-
-def test_what_integers_cannot_do_is_refused_in_one_sentence():
-    for call, said in (
-        (
-            lambda: generate(fit_of("meng angle"), arithmetic="q31", correction="series"),
-            "corrects an angle from a table",
-        ),
-        (
-            lambda: generate(fit_of("meng angle"), arithmetic="q31", ranges={"angle_rad": (0, 1)}),
-            "every bit pattern",
-        ),
-        (lambda: generate(fit_of("clipped"), arithmetic="q31"), "1024 entries; .* is within reach"),
-    ):
-        with pytest.raises(InputError, match=said):
-            call()
 
 
 @pytest.mark.slow

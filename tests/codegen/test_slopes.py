@@ -10,11 +10,9 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
-from firmware import CASES, GOLDEN, Library, calibration, made, need, passes, ran, written
+from firmware import CASES, GOLDEN, Library, made, need, passes, ran, written
 
-import hallsym
 from hallsym.cli.main import main
-from hallsym.errors import InputError
 
 
 @cache
@@ -88,8 +86,3 @@ def test_a_recalibration_remembers_them(tmp_path):
     assert (folder / "test/selftest_vectors.h").read_text() == vectors
     table = json.loads((folder / "table/decoupler_params.json").read_text())
     assert table["options"] == {"jacobian": "reading"}
-
-
-def test_integers_have_no_slopes():
-    with pytest.raises(InputError, match="--jacobian belongs to --arithmetic float"):
-        hallsym.generate(calibration(), jacobian=True, arithmetic="q31")
