@@ -12,7 +12,7 @@ import zlib
 import casadi as ca
 import numpy as np
 import pytest
-from firmware import CASES, GOLDEN, calibration, four_probes, made, with_effect
+from firmware import GOLDEN, calibration, four_probes, made, with_effect
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -35,45 +35,11 @@ def inputs_of(d, count=2000, seed=0, dtype=float):
     return (low + (high - low) * np.random.default_rng(seed).random((len(low), count))).astype(dtype)
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_the_printed_expressions_are_the_model(case):
-    fit = CASES[case]()
-    d = lower(fit, box_of(fit))
-    inputs = inputs_of(d)
-    folded = steps_on_arrays(d)(inputs, d.constants)[0]
-    linear = np.abs(folded - d.exact(inputs)).max(axis=1)
-    assert linear.max() <= d.slack + 1e-16
-
-
 def test_float_errors_over_a_million_inputs():
     d = lower(calibration(), box_of(calibration()))
     met = FloatBackend(d, {}, FLOAT).errors(1_000_000)
     assert max(met["x_m"], met["y_m"]) <= 0.6e-9
     assert met["rz_rad"] <= 3e-9
-
-
-LATER = {("cubic", "float")}
-BACKENDS = {"float": {}, "q31": {"arithmetic": "q31"}}
-LINEAR = ("stage31", "four probes", "user's height_quadratic", "vertical_offset_coupling")
-BUILT = [
-    pytest.param(case, backend, marks=pytest.mark.slow if (case, backend) in LATER else ())
-    for case in CASES
-    for backend in BACKENDS
-    if backend == "float" or case in LINEAR
-]
-
-
-@pytest.mark.parametrize(("case", "backend"), BUILT)
-def test_no_error_exceeds_its_proved_bound(case, backend):
-    code = made(case, **BACKENDS[backend])
-    for column, error in code.backend.errors(20_000, seed=5).items():
-        assert error <= code.backend.error_bound[column]
-    rng, (low, high) = np.random.default_rng(1), code.backend.span
-    inputs = low + (high - low) * rng.random((len(low), 20_000))
-    pose, _ = code.backend.step(inputs.astype(code.backend.ends[0].dtype))
-    for row, port in zip(pose, code.backend.outputs, strict=True):
-        assert code.bounds.low[port.column] <= row.min() * port.scale + 1e-9
-        assert row.max() * port.scale <= code.bounds.high[port.column] + 1e-9
 
 
 def test_a_users_effect_follows_into_table_and_code():
@@ -134,22 +100,6 @@ def test_enclosures_hold_what_float32_computes(values, y):
     exact = float(f(*values, y))
     assert found.low <= exact <= found.high
     assert abs(float(single) - exact) <= found.error
-
-
-WILD = st.integers(0, 2**32 - 1)
-
-
-@given(st.lists(WILD, min_size=6, max_size=6))
-def test_whatever_the_bits_the_pose_is_finite_and_the_status_says_which(bits):
-    code = MADE
-    inputs = np.array(bits, dtype=np.uint32).view(np.float32)[:, None]
-    pose, status = code.backend.step(inputs)
-    assert np.isfinite(pose).all()
-    for k, column in enumerate(code.decoupler.inputs):
-        low, high = np.float32(code.decoupler.ends(column))
-        assert bool(status[0] >> k & 1) == (not low <= inputs[k, 0] <= high)
-    for row, column in zip(pose, code.decoupler.pose, strict=True):
-        assert code.bounds.low[column] - 1e-9 <= row[0] <= code.bounds.high[column] + 1e-9
 
 
 MADE = made("stage31")

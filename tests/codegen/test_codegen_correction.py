@@ -11,10 +11,9 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from firmware import need, ran
 from hypothesis import given
 from hypothesis import strategies as st
-from test_codegen_rotary import CASES, ELLIPSE, LAYOUTS, calibrated, turned
+from test_codegen_rotary import ELLIPSE, LAYOUTS, calibrated, turned
 from test_codegen_rotary import fit_of as encoder_of
 
 import hallsym
@@ -198,39 +197,3 @@ def test_the_command_takes_an_accuracy_in_any_unit(tmp_path, capsys):
     assert "is within reach: give --accuracy" in capsys.readouterr().err
     assert main([*base, "--accuracy", "angle_mrad=5", "--correction", "table"]) == 0
     assert "table of 592 bytes" in capsys.readouterr().out
-
-
-def with_waves(factor):
-    make, values = CASES["harmonics"]
-    moved = {"Vx": -0.3, "Vy": 1.2, "beta": 0.5} if factor != 1 else {}  # other centers, another phase
-    waves = {k: v * (factor if k[0] == "h" else moved.get(k, 1)) for k, v in values.items()}
-    return calibrated(make(LAYOUTS["volts"]), waves)
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        pytest.param(["--accuracy", "angle_urad=100"], marks=SLOW),
-        pytest.param(["--accuracy", "angle_urad=500", "--correction", "series"], marks=SLOW),
-        pytest.param(["--arithmetic", "q31"], marks=SLOW),
-    ],
-)
-def test_a_recalibration_keeps_the_form_of_the_correction(options, tmp_path, capsys):
-    """It may need more waves or entries by itself; the code in the field has those that it has."""
-    for name, factor in (("old", 1.0), ("new", 0.8), ("far", 30.0)):
-        with_waves(factor).save(tmp_path / f"{name}.json")
-    folder = tmp_path / "fw"
-    assert main(["codegen", str(tmp_path / "old.json"), "-o", str(folder), *options]) == 0
-    code, before = (
-        (folder / "decoupler.c").read_text(),
-        (folder / "decoupler_params.c").read_text(),
-    )
-    again = [*options[:2], "--params-only"] if "q31" in options else ["--params-only"]
-    assert main(["codegen", str(tmp_path / "new.json"), "-o", str(folder), *again]) == 0
-    assert (folder / "decoupler.c").read_text() == code
-    assert (folder / "decoupler_params.c").read_text() != before
-    need("gcc", "make")
-    assert ran(folder, "make", "check").count("as stated") == 2
-    capsys.readouterr()
-    assert main(["codegen", str(tmp_path / "far.json"), "-o", str(folder), *again]) == 2
-    assert "generate the folder again with --force" in capsys.readouterr().err

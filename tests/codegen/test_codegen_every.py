@@ -88,12 +88,10 @@ def encoder(case, form, limit):
 
 EVERY = {
     "stage31": stage("stage31", (102, 122), True, (M0, M3, M7)),
+    **{case: stage(case, quick=case == "exact_rotation", cores=()) for case in CASES if case != "stage31"},
     "stage31 double": stage("stage31", double=True),
-    "four probes": stage("four probes"),
-    "exact_rotation": stage("exact_rotation", quick=True),
-    "cubic": stage("cubic"),
     "stage31 q31": stage("stage31", one(850), True, (M3, M4, M7_INTEGERS), arithmetic="q31"),
-    "four probes q31": stage("four probes", arithmetic="q31"),
+    "four probes q31": stage("four probes", cores=(), arithmetic="q31"),
     "three sums": wave("three sums", one(190), True, (M3,)),
     "five sums": wave("five sums", None, False, (M7,)),
     "first harmonic alone": wave("first harmonic alone"),
@@ -103,6 +101,7 @@ EVERY = {
     "closed form of 12 sums": mover("closed form of 12 sums", (520, 620)),
     "24 sums": mover("24 sums", (2800, 15_000)),
     "many periods": mover("many periods"),
+    "another level": mover("another level"),
     "rows": Kind(movers.made, movers.fit_of, one(4800)),
     "travel": Kind(travel.made, travel.fit_of, cores=()),
     "five Halls q31": Kind(

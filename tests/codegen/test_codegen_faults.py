@@ -12,7 +12,7 @@ from math import pi
 import numpy as np
 import pytest
 from firmware import CASES as STAGES
-from firmware import STRICT, known, made, need, proved_by_eva, ran, written
+from firmware import STRICT, known, made, need, ran, written
 from scipy.stats import norm
 from waves import LENGTH, VALUES, calibrated, calibrated_planar, sums
 
@@ -318,13 +318,6 @@ def test_a_reading_that_nothing_checks_is_said(batch):
     four = " ".join(made("four probes").decoupler.of_faults)
     assert "hall_a_m, hall_b_m, hall_c_m, hall_d_m" in four
     assert "suspect" not in made("four probes").files["decoupler.h"]
-
-
-@pytest.mark.slow
-def test_the_flag_of_four_probes_is_proved(tmp_path):
-    for arithmetic in ("float", "q31"):
-        folder = written(made("four probes", arithmetic=arithmetic), tmp_path / arithmetic)
-        proved_by_eva(folder, integers=arithmetic == "q31")
 
 
 def test_noise_that_the_fit_leaves_widens_the_limit():

@@ -3,12 +3,16 @@
 import json
 import shutil
 
+import numpy as np
 import pytest
-from firmware import GOLDEN, need, ran
+import test_codegen_rotary as encoders
+from firmware import GOLDEN, calibration, need, ran
+from twins import with_arrays
 
 import hallsym
 from hallsym.cli.main import main
 from hallsym.errors import InputError
+from hallsym.log import Noise, Sigma
 
 
 def run(capsys, *arguments):
@@ -76,22 +80,74 @@ def test_a_folder_of_others_is_not_touched(tmp_path, capsys):
     assert "must be a folder" in err
 
 
-def test_a_recalibration_replaces_the_parameters_alone(tmp_path, capsys):
+def stage(gains=1.0, others=1.0, field=None):
+    """The golden calibration with gains, and other parameters, by a factor; or its field terms alone."""
+    fit = calibration()
+    noise = Noise({c: Sigma(s.value, "given") for c, s in fit.noise.sigmas.items()})
+    factor = np.array([gains if name.startswith("eta_") else others for name in fit.model.names])
+    values = np.clip(fit.values * factor, *fit.model.bounds)
+    if field is not None:
+        values = np.where([n[:2] == "a_" for n in fit.model.names], field * fit.values, fit.values)
+    return with_arrays(fit, values=values).changed(noise=noise)
+
+
+def encoder(factor=1.0):
+    make, values = encoders.CASES["harmonics"]
+    moved = {"Vx": -0.3, "Vy": 1.2, "beta": 0.5} if factor != 1 else {}  # other centers, another phase
+    waves = {k: v * (factor if k[0] == "h" else moved.get(k, 1)) for k, v in values.items()}
+    return encoders.calibrated(make(encoders.LAYOUTS["volts"]), waves)
+
+
+SLOW = pytest.mark.slow
+RECALIBRATED = {
+    "float": (stage, {"gains": 1.001}, {"field": 8.0}, []),
+    "double": (stage, {"gains": 1.001}, {"field": 8.0}, ["--double"]),
+    "slopes": (stage, {"gains": 1.001}, {"field": 8.0}, ["--jacobian"]),
+    "integers": (stage, {"gains": 0.97, "others": 1.3}, {"field": 6.0}, ["--arithmetic", "q31"]),
+    "table": (encoder, {"factor": 0.8}, {"factor": 30.0}, ["--accuracy", "angle_urad=100"]),
+    "waves": (
+        encoder, {"factor": 0.8}, {"factor": 30.0}, ["--accuracy", "angle_urad=500", "--correction", "series"]
+    ),
+    "binary angles": (encoder, {"factor": 0.8}, {"factor": 30.0}, ["--arithmetic", "q31"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(c, marks=SLOW if c in ("double", "table", "waves", "binary angles") else ())
+             for c in RECALIBRATED]
+)  # fmt: skip
+def test_a_recalibration_replaces_the_parameters_alone(case, tmp_path, capsys):
+    """By the choices of the folder: a calibration may need others. One that is too far is refused."""
+    make, near, far, options = RECALIBRATED[case]
     calib, out = tmp_path / "calib.json", tmp_path / "out"
-    record = json.loads((GOLDEN / "calib.json").read_text())
-    assert run(capsys, "codegen", GOLDEN / "calib.json", "-o", out)[0] == 0
+    make().save(calib)
+    assert run(capsys, "codegen", calib, "-o", out, *options)[0] == 0
     before = tree(out)
-    record["parameters"]["eta_A"]["value"] *= 1.001
-    calib.write_text(json.dumps(record))
+    make(**near).save(calib)
     assert run(capsys, "codegen", calib, "-o", out, "--params-only")[0] == 0
     after = tree(out)
     changed = {name for name in after if after[name] != before[name]}
     assert {"decoupler_params.c", "table/decoupler_params.bin", "test/selftest_vectors.h"} <= changed
     assert not {"decoupler.c", "decoupler.h", "decoupler_check.c"} & changed
+    need("gcc", "make")
+    assert ran(out, "make", "check").count("as stated") == 2
+    ran(out, "make", "clean")
+    make(**far).save(calib)
+    code, _, err = run(capsys, "codegen", calib, "-o", out, "--params-only")
+    assert code == 2
+    assert "generate the folder again with --force" in err
+    assert len(err) < 400
+    assert tree(out) == after
+
+
+def test_another_table_and_no_folder_are_refused(tmp_path, capsys):
+    calib, out = GOLDEN / "calib.json", tmp_path / "out"
+    assert run(capsys, "codegen", calib, "-o", out)[0] == 0
+    before = tree(out)
     code, _, err = run(capsys, "codegen", calib, "-o", out, "--params-only", "--range", "z_um=-100:250")
     assert code == 2
     assert "another table" in err
-    assert tree(out) == after
+    assert tree(out) == before
     code, _, err = run(capsys, "codegen", calib, "-o", tmp_path / "none", "--params-only")
     assert code == 2
     assert not (tmp_path / "none").exists()

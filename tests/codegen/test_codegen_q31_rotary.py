@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from test_codegen_correction import fit_of
 from test_codegen_rotary import ELLIPSE, turned
 
-from hallsym.cli.main import main
 from hallsym.codegen import generate
 from hallsym.codegen import integer_c as turns
 from hallsym.errors import InputError
@@ -68,13 +67,6 @@ def test_a_table_that_does_not_fit_is_refused():
 # -- the angle -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("case", "accuracy"), CASES)
-def test_stated_bounds_hold_over_random_inputs(case, accuracy):
-    met = made(case, accuracy).backend.errors(200_000, seed=3)["angle_rad"]
-    bound = made(case, accuracy).backend.program.bounds["angle_rad"][2]
-    assert 0.2 * bound < met <= bound
-
-
 def test_counts_that_are_shifted_are_angles():
     """A 14-bit encoder: count << 18."""
     source = made("meng angle").backend
@@ -113,17 +105,3 @@ def test_an_encoder_that_needs_no_correction_has_no_table():
 
 
 # -- options -------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_the_command_writes_and_recalibrates_it(tmp_path, capsys):
-    fit_of("meng angle").save(tmp_path / "calib.json")
-    base = ["codegen", str(tmp_path / "calib.json"), "-o", str(tmp_path / "fw"), "--arithmetic", "q31"]
-    assert main(base) == 0
-    assert "table of 548 bytes" in capsys.readouterr().out
-    header = (tmp_path / "fw/decoupler.h").read_text()
-    assert "uint32_t angle_bam; /**< [2^-32 turn] */" in header
-    assert "table of 256 entries of 16 bits" in " ".join(header.replace(" * ", "").split())
-    assert main([*base, "--params-only"]) == 0
-    assert main([*base, "--params-only", "--correction", "auto", "--accuracy", "angle_mrad=1"]) == 2
-    assert "generate the folder again" in capsys.readouterr().err  # another table: other code

@@ -6,8 +6,6 @@ fits all readings with that field; a place moves by as much as the mover does, a
 
 from functools import cache
 
-import numpy as np
-import pytest
 from msgspec import structs
 from waves import calibrated
 
@@ -38,15 +36,3 @@ def made():
 def read(x, z):
     fit = fit_of()
     return on_arrays(fit.model.reading)(fit.values, [], [x, z], [])[0]
-
-
-@pytest.mark.slow
-def test_readings_give_place_and_gap_back_over_all_of_the_board():
-    rng, backend = np.random.default_rng(1), made().backend
-    x, z = rng.uniform(-REACH, REACH, 4000), rng.uniform(*GAPS, 4000)
-    pose, status = backend.step(read(x, z).astype(np.float32))
-    assert not status.any()
-    assert (np.abs(pose - [x, z]).max(axis=1) <= list(backend.error_bound.values())).all()
-    assert max(backend.error_bound.values()) < 6e-5  # a third of an array is all that is left at the ends
-    inner = np.abs(x) < 0.04
-    assert np.abs(pose - [x, z])[:, inner].max() < 2e-5

@@ -4,15 +4,12 @@ At a pose the readings are f(pose, state), so d pose / d reading is the inverse 
 """
 
 import ctypes
-import json
 from functools import cache
 
 import casadi as ca
 import numpy as np
 import pytest
-from firmware import CASES, GOLDEN, Library, made, need, passes, ran, written
-
-from hallsym.cli.main import main
+from firmware import CASES, Library, made, need, passes, ran, written
 
 
 @cache
@@ -75,14 +72,3 @@ def test_a_wrong_slope_is_noticed(tmp_path):
         source.write_text(text.replace(f"slopes->{name} = ", f"slopes->{name} = 1.00001f * "))
         with pytest.raises(AssertionError, match=r"85 vectors failed"):
             ran(folder, "make", "check")
-
-
-def test_a_recalibration_remembers_them(tmp_path):
-    folder = tmp_path / "fw"
-    command = ["codegen", str(GOLDEN / "calib.json"), "-o", str(folder)]
-    assert main([*command, "--jacobian"]) == 0
-    vectors = (folder / "test/selftest_vectors.h").read_text()
-    assert main([*command, "--params-only"]) == 0
-    assert (folder / "test/selftest_vectors.h").read_text() == vectors
-    table = json.loads((folder / "table/decoupler_params.json").read_text())
-    assert table["options"] == {"jacobian": "reading"}
