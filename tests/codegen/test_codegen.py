@@ -9,12 +9,9 @@ import json
 import struct
 import zlib
 
-import casadi as ca
 import numpy as np
 import pytest
 from firmware import GOLDEN, calibration, four_probes, made, with_effect
-from hypothesis import given
-from hypothesis import strategies as st
 
 from hallsym.cli.main import main
 from hallsym.codegen import decouple, generate
@@ -24,7 +21,6 @@ from hallsym.codegen.box import box_of
 from hallsym.codegen.decoupler import steps_on_arrays
 from hallsym.codegen.float_backend import FloatBackend
 from hallsym.codegen.float_c import FLOAT
-from hallsym.codegen.intervals import Enclosure, enclose
 from hallsym.codegen.lowering import lower
 from hallsym.errors import InputError
 from hallsym.families import adapted, effects
@@ -86,20 +82,6 @@ def test_the_casadi_route_is_the_same_pose():
 
 
 # -- rounding and bits -----------------------------------------------------------------------------------
-
-
-@given(st.lists(st.floats(-2, 2, width=32), min_size=3, max_size=3), st.floats(0.5, 3, width=32))
-def test_enclosures_hold_what_float32_computes(values, y):
-    x = ca.SX.sym("x", 4)
-    expression = (x[0] * x[1] - x[2]) / (x[3] + x[0] ** 2) + ca.fmax(x[1], -x[1])
-    f = ca.Function("f", ca.vertsplit(x), [expression])
-    wide = [Enclosure(v - 0.25, v + 0.25) for v in values] + [Enclosure(y, y + 0.5)]
-    (found,) = enclose([expression], {f"x_{k}": w for k, w in enumerate(wide)})
-    a, b, c, y32 = (np.float32(v) for v in (*values, y))
-    single = (a * b - c) / (y32 + a * a) + max(b, -b)
-    exact = float(f(*values, y))
-    assert found.low <= exact <= found.high
-    assert abs(float(single) - exact) <= found.error
 
 
 MADE = made("stage31")
@@ -181,13 +163,6 @@ def test_the_box_is_what_the_log_recorded():
             np.asarray(fit.model.reading(fit.values, [0, 0, 0], pose, state)).ravel(), d.inputs, strict=False
         ):
             assert d.ends(channel)[0] <= reading <= d.ends(channel)[1]
-
-
-def test_one_sided_ranges_keep_both_ends():
-    code = generate(calibration(), ranges={"z_m": (-1e-4, 2.5e-4)})
-    names = [e.name for e in code.decoupler.limits]
-    assert "low_z" in names and "high_z" in names and "limit_rx" in names  # noqa: PT018
-    assert "limited(in->z_m, p->low_z, p->high_z" in str(code.files["decoupler.c"])
 
 
 # -- refusals --------------------------------------------------------------------------------------------

@@ -6,17 +6,15 @@ Frama-C EVA; gcov.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import boards
 import numpy as np
 import pytest
-import test_codegen_arrays as arrays
 import test_codegen_correction as correction
 import test_codegen_faults as faults
-import test_codegen_movers as movers
 import test_codegen_q31_rotary as integers
 import test_codegen_rotary as encoders
-import test_codegen_travel as travel
 import test_codegen_waves as waves
 from firmware import (
     CASES,
@@ -37,9 +35,11 @@ from firmware import (
 
 import hallsym
 from hallsym.codegen import Generated
+from hallsym.codegen.backend import COUNT
 from hallsym.codegen.bounds import PoseByPose
 from hallsym.codegen.box import box_of
-from hallsym.codegen.decoupler import short, steps_on_arrays
+from hallsym.codegen.decoupler import FLAG_BITS, short, steps_on_arrays
+from hallsym.codegen.lowering import rows
 from hallsym.model import on_arrays
 
 M0 = ("MACHINE=microbit", "CPU=-mcpu=cortex-m0 -mthumb")
@@ -75,10 +75,6 @@ def wave(case, *given):
     return Kind(lambda: waves.made(case), lambda: waves.fit_of(case), *given)
 
 
-def mover(case, *given):
-    return Kind(lambda: arrays.made(case), lambda: arrays.fit_of(case), *given)
-
-
 def encoder(case, form, limit):
     quick = (case, form) in encoders.QUICK
     return Kind(
@@ -88,7 +84,8 @@ def encoder(case, form, limit):
 
 EVERY = {
     "stage31": stage("stage31", (102, 122), True, (M0, M3, M7)),
-    **{case: stage(case, quick=case == "exact_rotation", cores=()) for case in CASES if case != "stage31"},
+    **{case: stage(case, quick=case == "exact_rotation") for case in CASES if case != "stage31"},
+    "four probes": stage("four probes", cores=()),
     "stage31 double": stage("stage31", double=True),
     "stage31 q31": stage("stage31", one(850), True, (M3, M4, M7_INTEGERS), arithmetic="q31"),
     "four probes q31": stage("four probes", cores=(), arithmetic="q31"),
@@ -97,13 +94,14 @@ EVERY = {
     "first harmonic alone": wave("first harmonic alone"),
     "second harmonic": wave("second harmonic, another wavelength"),
     "halbach": wave("halbach"),
-    "12 sums": mover("12 sums", None, True),
-    "closed form of 12 sums": mover("closed form of 12 sums", (520, 620)),
-    "24 sums": mover("24 sums", (2800, 15_000)),
-    "many periods": mover("many periods"),
-    "another level": mover("another level"),
-    "rows": Kind(movers.made, movers.fit_of, one(4800)),
-    "travel": Kind(travel.made, travel.fit_of, cores=()),
+    **{
+        name: Kind(lambda n=name: boards.made(n), lambda n=name: boards.fit_of(n), *more)
+        for name, more in {
+            **dict.fromkeys(boards.BOARDS, ()), "12 sums": (None, True),
+            "closed form of 12 sums": ((520, 620),), "24 sums": ((2800, 15_000),),
+            "grid of 24": (None, True), "rows": (one(4800),), "travel": (None, False, ()),
+        }.items()
+    },
     "five Halls q31": Kind(
         lambda: faults.made_of("five Halls", "q31"), lambda: faults.fit_of("five Halls"), (1300, 8500)
     ),
@@ -246,8 +244,8 @@ def test_a_machine_beyond_its_box_raises_a_flag(name, coordinate, value, bit):
 @pytest.mark.parametrize(
     ("name", "reach", "level", "tilt"),
     [
-        ("rows", movers.REACH, [2e-3, -1e-3, 5e-3, 3e-3, -2e-3, 2e-3], 5e-6),
-        ("travel", travel.REACH, [0, 5e-3], 0),
+        ("rows", boards.ROWS_REACH, [2e-3, -1e-3, 5e-3, 3e-3, -2e-3, 2e-3], 5e-6),
+        ("travel", boards.REACH, [0, 5e-3], 0),
     ],
 )
 def test_no_coordinate_steps_as_sensors_come_and_go(name, reach, level, tilt):
@@ -260,6 +258,75 @@ def test_no_coordinate_steps_as_sensors_come_and_go(name, reach, level, tilt):
         moved = np.abs(np.diff(off, axis=1)).max(axis=1)
         assert (moved[:3] < 5e-7).all()
         assert (moved[3:] < tilt).all()
+
+
+@pytest.mark.slow
+def test_rows_of_sensors_need_the_period_alone_and_agree_with_the_decoder_of_the_model():
+    """hallsym's own decoder: weighted least squares of the finite field, from its own start."""
+    code, fit, at = EVERY["rows"].made(), EVERY["rows"].fit(), poses_of("rows", 150)
+    both = [
+        code.backend.step(numbers_of(code.backend, inputs_of("rows", at, near * waves.LENGTH))[0])[0]
+        for near in (-0.2, 0.2)
+    ]
+    assert (both[0] == both[1]).all()
+    weight = [1 / fit.noise.sigmas[c].value ** 2 for c in fit.model.channels]
+    readings = list(inputs_of("rows", at)[:-2])
+    found = on_arrays(fit.model.decoded_near)(fit.values, [], readings, [], weight, list(at))[0]
+    assert np.abs(found - at).max() < 1e-7
+    assert (np.abs(both[0] - found).max(axis=1) <= list(code.backend.error_bound.values())).all()
+
+
+@pytest.mark.slow
+def test_arrays_that_end_beyond_all_sensors_are_decoded_as_fixed_patches():
+    fit = boards.rows(length=12 * waves.LENGTH, reach=0.01)
+    weight = np.array([1 / fit.noise.sigmas[c].value ** 2 for c in fit.model.channels])
+    assert rows.decoupler(fit.model, fit.values, weight, box_of(fit), 2e-5) is None
+
+
+@pytest.mark.slow
+def test_a_tilted_mover_is_decoded_within_what_its_sums_resolve():
+    """At 10 mrad: less than the .7 um and 1.5 urad that all sensors leave of an independent plant."""
+    backend, at = EVERY["24 sums"].made().backend, poses_of("24 sums", 3000)
+    off = backend.step(numbers_of(backend, inputs_of("24 sums", at))[0])[0] - at
+    rms = np.sqrt((off**2).mean(axis=1))
+    assert (rms[:3] < 4e-7).all()
+    assert (rms[3:] < 1.5e-6).all()
+
+
+@pytest.mark.parametrize("count", [24, pytest.param(48, marks=pytest.mark.slow)])
+def test_a_grid_has_a_bit_for_each_reading_or_its_neighbours(count, tmp_path):
+    """The bits of the flags are above those of the readings; the self-test tries each of these."""
+    need("gcc")
+    name = f"grid of {count}"
+    code, bits = EVERY[name].made(), EVERY[name].made().decoupler.input_bits
+    own = FLAG_BITS - len(code.decoupler.flags) - code.decoupler.mends
+    assert len(set(bits)) == min(count, own)
+    assert max(bits) < min(1 << own, 1 << count)
+    assert ("*status |= bit;" in code.files["decoupler.c"]) == (count > own)
+    status = code.backend.vectors.status[COUNT : COUNT + 6 * count].reshape(count, 6)
+    assert (status & np.array(bits)[:, None] > 0).all()
+    library = Library(written(code, tmp_path / "fw"), code.decoupler, np.float32)
+    inputs = numbers_of(code.backend, inputs_of(name, poses_of(name, 60)))[0]
+    for k in range(count):
+        given = inputs[:, k % inputs.shape[1]].copy()
+        given[k] = np.nan
+        out, said = library.step(given)
+        assert said & ((1 << own) - 1) == bits[k]
+        assert np.isfinite(out).all()
+    out, said = library.step(np.full(count, np.nan, np.float32))
+    assert said & ((1 << own) - 1) == sum(set(bits))
+    assert out.tobytes() == code.backend.step(np.full((count, 1), np.nan))[0].astype(np.float32).tobytes()
+
+
+@pytest.mark.parametrize("count", [72, 200])
+def test_bits_of_any_number_of_readings_are_shared_by_neighbours(count):
+    """Each bit by as many as any other, or one more."""
+    d = EVERY["grid of 24"].made().decoupler
+    bits = replace(d, inputs=tuple(map(str, range(count)))).input_bits
+    assert list(bits) == sorted(bits)
+    shared = [bits.count(1 << k) for k in range(FLAG_BITS - len(d.flags) - d.mends)]
+    assert sum(shared) == count
+    assert max(shared) - min(shared) <= 1
 
 
 @pytest.mark.parametrize("name", EACH)

@@ -7,15 +7,12 @@ import casadi as ca
 import numpy as np
 import pytest
 from firmware import known, passes, proved_by_eva, written
-from hypothesis import given
-from hypothesis import strategies as st
 
 import hallsym
 from hallsym import Model, Parameter
 from hallsym.codegen import Box, Decoupler, Entry, Margin, Step, limits
 from hallsym.codegen.bounds import pose_bounds
 from hallsym.codegen.box import box_of
-from hallsym.codegen.intervals import Enclosure, enclose
 from hallsym.codegen.lowering import lower
 from hallsym.estimation.calibration import LogRecord
 from hallsym.log import Noise, Sigma
@@ -83,18 +80,3 @@ def test_it_has_bounds(fit):
     assert found.low["x_m"] <= -1e-3
     assert found.high["x_m"] >= 1e-3 * 1.4
     assert 0 < found.error["x_m"] < 1e-9
-
-
-@given(st.lists(st.floats(-2, 2, width=32), min_size=2, max_size=2), st.floats(0, 1, width=32))
-def test_enclosures_hold_branches(values, width):
-    x = ca.SX.sym("x", 2)
-    a, b = x[0], x[1]
-    chosen = ca.if_else(ca.fabs(a) <= b, a * b, ca.fabs(b) - a)
-    f = ca.Function("f", [a, b], [chosen])
-    ends = (Enclosure(v - width, v + width) for v in values)
-    (found,) = enclose([chosen], dict(zip(("x_0", "x_1"), ends, strict=True)))
-    m, n = (np.float32(v) for v in values)
-    single = m * n if abs(m) <= n else abs(n) - m
-    exact = float(f(*values))
-    assert found.low <= exact <= found.high
-    assert abs(float(single) - exact) <= found.error

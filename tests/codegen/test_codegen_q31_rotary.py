@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from test_codegen_correction import fit_of
-from test_codegen_rotary import ELLIPSE, turned
+from test_codegen_rotary import turned
 
 from hallsym.codegen import generate
 from hallsym.codegen import integer_c as turns
@@ -75,16 +75,6 @@ def test_counts_that_are_shifted_are_angles():
     wanted = source.decoupler.exact(count[None] * (2 * pi / 2**14))
     assert not status.any()
     assert turned(pose * turns.UNIT - wanted).max() <= source.program.bounds["angle_rad"][2]
-
-
-def test_no_magnet_has_a_bit_of_its_own():
-    source = made("ellipse volts").backend
-    units = np.array([port.scale for port in source.inputs])
-    center = np.array([ELLIPSE["Vy"], ELLIPSE["Vx"]])
-    moved = np.array([[0.0, 0.0], [0.45, 0.0], [0.0, 0.55], [3.0, 0.0]])
-    inputs = (center + moved).T / units[:, None]
-    _, status = source.step(np.clip(np.round(inputs), -(2**31), 2**31 - 1).astype(np.int64))
-    assert status.tolist() == [0x60000000, 0x60000000, 0x20000000, 0x20000001]
 
 
 def test_a_coarser_accuracy_takes_fewer_steps_of_cordic():

@@ -4,17 +4,15 @@ import re
 from dataclasses import replace
 from functools import partial
 
+import boards
 import casadi as ca
 import numpy as np
 import pytest
 from firmware import CASES, calibration, with_effect
 from msgspec import structs
-from test_codegen_arrays import QUICK
-from test_codegen_arrays import fit_of as mover
 from test_codegen_correction import clipped
 from test_codegen_correction import fit_of as corrected
 from test_codegen_rotary import ELLIPSE, LAYOUTS, ROTARY, calibrated
-from test_codegen_travel import fit_of as travel
 from twins import with_arrays
 from waves import LENGTH, sums
 from waves import calibrated as wave
@@ -62,7 +60,7 @@ def half_a_board():
     def step(s, p):
         s["reading"] = s["reading"][:6]
 
-    fit = mover(QUICK)
+    fit = boards.fit_of("12 sums")
     half = fit.model.with_step("electronics", step, effect="half_a_board")
     half = replace(half, channels=fit.model.channels[:6])
     return generate(wave(half, fit.model.named(fit.values)).changed(log=fit.log))
@@ -141,7 +139,7 @@ REFUSED = {
     ),
     "two arrays": (half_a_board, "show 2 along x_m and 0 along y_m"),
     "an array beyond its board": (
-        lambda: generate(travel(18, 0.14)), r"too few sensors see .* to tell x_m and which period"
+        lambda: generate(boards.travel(reach=0.14)), r"too few sensors see .* to tell x_m and which period"
     ),
 }  # fmt: skip
 LATER = ("an array beyond its board",)

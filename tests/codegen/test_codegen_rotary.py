@@ -111,14 +111,15 @@ def test_a_gain_common_to_both_plates_leaves_the_angle_alone(gain, angle):
     assert turned(float(pose[0, 0]) - angle) < 2e-6
 
 
-def test_no_magnet_and_a_broken_wire_have_bits_of_their_own():
-    code = made("ellipse", "volts")
-    emulator = code.backend
-    center = np.array([ELLIPSE["Vy"], ELLIPSE["Vx"]])
-    inputs = np.array([center, [0.0, 0.0], [np.nan, 0.1], [5.0, 0.1], [0.9, np.inf]], np.float32).T
-    pose, status = emulator.step(inputs)
-    assert [int(s) & 3 for s in status] == [0, 0, 1, 1, 2]
-    assert all(int(s) & 0x40000000 for s in status[:2])
+@pytest.mark.parametrize("arithmetic", ["float", "q31"])
+def test_no_magnet_and_a_broken_wire_have_bits_of_their_own(arithmetic):
+    """Field and fault without a magnet, a fault of a weak one, and bits of the readings."""
+    backend = made("ellipse", "volts", arithmetic=arithmetic).backend
+    inputs = np.array([[-0.03, 0.02], [0.42, 0.02], [-0.03, 0.57], [5.0, 0.1], [0.1, -9.0]])
+    inputs = backend._rounded(inputs.T / [[port.scale] for port in backend.inputs])
+    pose, status = backend.step(inputs)
+    assert [int(s) & 0x60000003 for s in status[:3]] == [0x60000000, 0x60000000, 0x20000000]
+    assert [int(s) & 3 for s in status[3:]] == [1, 2]
     assert np.isfinite(pose).all()
 
 

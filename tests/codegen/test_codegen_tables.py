@@ -9,11 +9,7 @@ import re
 import numpy as np
 import pytest
 from firmware import PATHS, SANITIZED, calibration, made, need, ran, written
-from test_codegen_arrays import QUICK
-from test_codegen_arrays import made as made_of_arrays
-from test_codegen_correction import fit_of
-from test_codegen_travel import made as made_of_travel
-from waves import VALUES, calibrated, sums
+from test_codegen_every import EVERY
 
 from hallsym.codegen import generate
 from hallsym.codegen.accepted import LEAST_LIMIT
@@ -21,22 +17,11 @@ from hallsym.errors import InputError
 
 TABLES = 10_000
 
-CASES = {
-    "stage31": lambda: made("stage31"),
-    "stage31 in double": lambda: made("stage31", double=True),
-    "iterated": lambda: made("exact_rotation"),
-    "iterated, held": lambda: made("cubic"),
-    "encoder, table of numbers": lambda: generate(fit_of("clipped"), accuracy=5e-3),
-    "encoder, waves": lambda: generate(fit_of("meng volts")),
-    "magnet array": lambda: generate(calibrated(sums(3), VALUES)),
-    "magnet array without a suspect": lambda: generate(calibrated(sums(5), VALUES)),
-}
-INTEGERS = {
-    "stage31 in integers": lambda: made("stage31", arithmetic="q31"),
-    "encoder in integers": lambda: generate(fit_of("meng volts"), arithmetic="q31"),
-    "angle in integers": lambda: generate(fit_of("meng angle"), arithmetic="q31"),
-}
-SLOW = {"array over a longer row": made_of_travel, "six coordinates": lambda: made_of_arrays(QUICK)}
+CASES = (
+    "stage31", "stage31 double", "exact_rotation", "cubic", "clipped auto", "meng volts", "three sums", "five sums",
+    "stage31 q31", "meng volts q31", "meng angle q31",
+)  # fmt: skip
+SLOW = ("travel", "12 sums")
 
 PROGRAM = """
 #include <math.h>
@@ -122,14 +107,13 @@ OF_NUMBERS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "case", [*CASES, *INTEGERS, *(pytest.param(c, marks=pytest.mark.slow) for c in SLOW)]
-)
+@pytest.mark.parametrize("case", [*CASES, *(pytest.param(c, marks=pytest.mark.slow) for c in SLOW)])
 def test_an_accepted_table_gives_numbers(case, tmp_path):
     need("gcc")
-    code = (CASES | INTEGERS | SLOW)[case]()
+    code = EVERY[case].made()
+    integers = code.backend.type == "q31"
     folder, backend = written(code, tmp_path / "fw"), code.backend
-    far = "2e9" if case in INTEGERS else "1e30"
+    far = "2e9" if integers else "1e30"
     low, high = (", ".join(f"{v!r}" for v in side[:, 0].tolist()) for side in backend.span)
     fields = {
         "ENDS": ", ".join(f"{{{', '.join(backend._ends_in_c(e))}}}" for e in backend.numbers),
@@ -139,7 +123,7 @@ def test_an_accepted_table_gives_numbers(case, tmp_path):
         "ZEROS_AT": f"{len(backend.numbers) - len(backend.offsets)}U",
     }  # fmt: skip
     text = PROGRAM
-    for name, value in ((OF_INTEGERS if case in INTEGERS else OF_NUMBERS) | fields).items():
+    for name, value in ((OF_INTEGERS if integers else OF_NUMBERS) | fields).items():
         text = re.sub(rf"\b{name}\b", value, text)
     (folder / "test" / "tables.c").write_text(text)
     sources = ("decoupler.c", "decoupler_params.c", "test/tables.c")

@@ -12,12 +12,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
-from firmware import TESTED, calibration, need, ran, written
-from test_codegen_correction import fit_of
-from test_codegen_travel import made as made_of_travel
-from waves import VALUES, calibrated, sums
-
-from hallsym.codegen import generate
+from firmware import TESTED, need, ran, written
+from test_codegen_every import EVERY
 
 LEAST = 0.95
 """Share of the mutants that the self-test must notice."""
@@ -100,21 +96,14 @@ def noticed(folder, name, source):
 WHOLE, MOST = 100, 80
 """Mutants of a case that are all tried; of more, at most so many, evenly over the code."""
 
-CASES = {
-    "stage31": lambda: generate(calibration()),
-    "stage31 in integers": lambda: generate(calibration(), arithmetic="q31"),
-    "encoder of two voltages, table": lambda: generate(fit_of("clipped"), accuracy=5e-3),
-    "encoder of two voltages in integers": lambda: generate(fit_of("meng volts"), arithmetic="q31"),
-    "magnet array": lambda: generate(calibrated(sums(3), VALUES)),
-    "array over a longer row": made_of_travel,
-}
+CASES = ("stage31", "stage31 q31", "clipped auto", "meng volts q31", "three sums", "travel")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_the_self_test_notices_what_is_wrong_with_the_code(tmp_path, case):
     need("gcc")
-    folder = written(CASES[case](), tmp_path / "fw")
+    folder = written(EVERY[case].made(), tmp_path / "fw")
     ran(folder, *GCC[:-2], "-O1", "-c", *TESTED)
     sources = {name: (folder / name).read_text() for name in ("decoupler.c", "decoupler_check.c")}
     every = [(name, line, text) for name, source in sources.items() for line, text in mutants(source)]
