@@ -16,7 +16,7 @@ import pytest
 
 import hallsym
 from hallsym import Fit, Model, Parameter
-from hallsym.codegen import Decoupler, Generated
+from hallsym.codegen import Generated
 from hallsym.estimation.calibration import CovarianceRecord, FittedParameter
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
@@ -260,29 +260,53 @@ def every_input(folder: Path) -> None:
     assert "exhaustive: 0 of" in ran(folder, "./exhaustive")
 
 
+BATCH = """
+#include "decoupler.h"
+void batch(const decoupler_params_t *p, const decoupler_in_t *in, decoupler_out_t *out, uint32_t *status,
+           uint32_t count);
+void batch(const decoupler_params_t *p, const decoupler_in_t *in, decoupler_out_t *out, uint32_t *status,
+           uint32_t count)
+{
+    for (uint32_t k = 0U; k < count; k++)
+    {
+        status[k] = decoupler_step(p, &in[k], &out[k]);
+    }
+}
+"""
+NUMBERS = {"float": "f4", "double": "f8", "int32_t": "i4", "uint32_t": "u4"}
+
+
 class Library:
     """A generated folder compiled for this machine: `step`, `zero` and `check` on arrays of its type."""
 
-    def __init__(self, folder: Path, d: Decoupler, dtype: type) -> None:
-        sources = ["decoupler.c", "decoupler_check.c", "decoupler_params.c"]
+    def __init__(self, folder: Path, code: Generated) -> None:
+        sources = ["decoupler.c", "decoupler_check.c", "decoupler_params.c", "build/batch.c"]
         path = folder / "build" / "decoupler.so"
         path.parent.mkdir(exist_ok=True)
+        (folder / "build/batch.c").write_text(BATCH)
         ran(folder, "gcc", *STRICT, "-shared", "-fPIC", "-I.", *sources, "-o", str(path))
         self.library = ctypes.CDLL(str(path))
-        self.dtype, self.d = dtype, d
+        self.dtype, self.d = np.dtype(NUMBERS[code.backend.inputs[0].type]), code.decoupler
+        self.fields = [(port.column, NUMBERS[port.type]) for port in code.backend.outputs]
+        self.fields += [("suspect", "u4")] * self.d.suspects  # it lies behind the pose
         for name in ("decoupler_step", "decoupler_zero", "decoupler_check"):
             getattr(self.library, name).restype = ctypes.c_uint32
         size = len((folder / "table/decoupler_params.bin").read_bytes())
         table = (ctypes.c_ubyte * size).in_dll(self.library, "decoupler_params")
         self.table = np.frombuffer(bytes(table), dtype=np.uint8).copy()
 
+    def steps(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return pose (n_pose, s), status (s,) and suspects (s,) of samples (n, s)."""
+        given = np.ascontiguousarray(inputs.T, self.dtype)
+        out, status = np.zeros(len(given), self.fields), np.zeros(len(given), np.uint32)
+        self._call("batch", self.table, given, out, status, count=len(given))
+        suspects = out["suspect"] if self.d.suspects else np.zeros(len(given), int)
+        return np.array([out[c] for c in self.d.pose]), status, suspects
+
     def step(self, inputs: np.ndarray) -> tuple[np.ndarray, int]:
         """Return pose and status of one sample."""
-        count = len(self.d.pose)
-        given = np.ascontiguousarray(inputs, self.dtype)
-        out = np.full(count + self.d.suspects, 99).astype(self.dtype)  # a suspect lies behind the pose
-        status = self._call("decoupler_step", self.table, given, out)
-        return out[:count], status
+        pose, status, _ = self.steps(np.asarray(inputs, self.dtype)[:, None])
+        return pose[:, 0], int(status[0])
 
     def zero(self, inputs: np.ndarray, pose: np.ndarray) -> int:
         """Take the zero; the table changes."""
@@ -293,5 +317,6 @@ class Library:
         """Return the findings about the table as it is now."""
         return self._call("decoupler_check", self.table)
 
-    def _call(self, name: str, *arrays: np.ndarray) -> int:
-        return getattr(self.library, name)(*(a.ctypes.data_as(ctypes.c_void_p) for a in arrays))
+    def _call(self, name: str, *arrays: np.ndarray, count: int | None = None) -> int:
+        more = [] if count is None else [ctypes.c_uint32(count)]
+        return getattr(self.library, name)(*(a.ctypes.data_as(ctypes.c_void_p) for a in arrays), *more)

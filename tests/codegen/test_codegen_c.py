@@ -40,7 +40,7 @@ def golden(tmp_path_factory) -> Path:
 def compiled(golden) -> tuple[Library, Generated]:
     need("gcc")
     code = made("stage31")
-    return Library(golden, code.decoupler, code.backend.real.dtype), code
+    return Library(golden, code), code
 
 
 def test_the_golden_copy_is_what_is_generated(golden):

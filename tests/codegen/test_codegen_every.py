@@ -204,13 +204,13 @@ def test_a_zero_is_taken_wherever_the_machine_is(name, tmp_path):
     need("gcc")
     code, at, known = EVERY[name].made(), poses_of(name, 30), poses_of(name, 30, seed=4)
     backend, d = code.backend, code.decoupler
-    kind = faults.KINDS_OF_NUMBERS[backend.inputs[0].type]
-    library = Library(written(code, tmp_path / "fw"), d, np.dtype(kind))
+    library = Library(written(code, tmp_path / "fw"), code)
     most = 3 * np.array([code.backend.error_bound[c] for c in d.pose])
     given = numbers_of(backend, inputs_of(name, at))[0]
     for inputs, zero in zip(given.T, known[: len(d.pose)].T, strict=True):
         wanted = zero / [port.scale for port in backend.outputs]
-        assert library.zero(inputs, wanted if kind == "f4" else np.round(wanted).astype(np.int64)) == 0
+        wanted = wanted if backend.type == "float" else np.round(wanted).astype(np.int64)
+        assert library.zero(inputs, wanted) == 0
         pose, status = library.step(inputs)
         assert status == 0
         assert (np.abs(d.difference(si(backend, pose[:, None]), zero[:, None]))[:, 0] <= most).all()
@@ -305,7 +305,7 @@ def test_a_grid_has_a_bit_for_each_reading_or_its_neighbours(count, tmp_path):
     assert ("*status |= bit;" in code.files["decoupler.c"]) == (count > own)
     status = code.backend.vectors.status[COUNT : COUNT + 6 * count].reshape(count, 6)
     assert (status & np.array(bits)[:, None] > 0).all()
-    library = Library(written(code, tmp_path / "fw"), code.decoupler, np.float32)
+    library = Library(written(code, tmp_path / "fw"), code)
     inputs = numbers_of(code.backend, inputs_of(name, poses_of(name, 60)))[0]
     for k in range(count):
         given = inputs[:, k % inputs.shape[1]].copy()

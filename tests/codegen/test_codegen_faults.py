@@ -5,14 +5,13 @@ over batches. Whatever a fault is, a pose without a bit is within the stated err
 suspect.
 """
 
-import ctypes
 from functools import cache
 from math import pi
 
 import numpy as np
 import pytest
 from firmware import CASES as STAGES
-from firmware import STRICT, known, made, need, ran, written
+from firmware import Library, known, made, need, written
 from scipy.stats import norm
 from waves import LENGTH, VALUES, calibrated, calibrated_planar, sums
 
@@ -90,31 +89,14 @@ SOUND = [
     *((c, "q31") for c in INTEGERS),
 ]
 
-KINDS_OF_NUMBERS = {"float": "f4", "int32_t": "i4", "uint32_t": "u4"}
-BATCH = """
-#include "decoupler.h"
-#include "decoupler_params.h"
-void batch(const decoupler_in_t *in, decoupler_out_t *out, uint32_t *status, uint32_t count);
-void batch(const decoupler_in_t *in, decoupler_out_t *out, uint32_t *status, uint32_t count)
-{
-    for (uint32_t k = 0U; k < count; k++)
-    {
-        status[k] = decoupler_step(&decoupler_params, &in[k], &out[k]);
-    }
-}
-"""
 
-
-class Batch:
-    """Generated code compiled for this machine: many samples at once."""
+class Batch(Library):
+    """Generated code compiled for this machine, on readings in SI."""
 
     def __init__(self, code, folder):
         need("gcc")
-        written(code, folder)
-        (folder / "batch.c").write_text(BATCH)
-        sources = ["decoupler.c", "decoupler_check.c", "decoupler_params.c", "batch.c"]
-        ran(folder, "gcc", *STRICT, "-shared", "-fPIC", *sources, "-o", "batch.so")
-        self.code, self.library = code, ctypes.CDLL(str(folder / "batch.so"))
+        super().__init__(written(code, folder), code)
+        self.code = code
 
     def numbers(self, readings):
         """Readings (n, s) [SI] in the numbers of the arithmetic."""
@@ -124,21 +106,9 @@ class Batch:
             whole = np.nan_to_num(np.round(readings / [[port.scale] for port in self.code.backend.inputs]))
         return np.clip(whole, -(2**31) + 1, 2**31 - 1).astype(np.int64)
 
-    def of(self, numbers):
-        """Pose (n_pose, s), status (s,) and suspects (s,) of numbers (n, s), as C has them."""
-        backend = self.code.backend
-        given = np.ascontiguousarray(numbers.T.astype(KINDS_OF_NUMBERS[backend.inputs[0].type]))
-        fields = [(port.column, KINDS_OF_NUMBERS[port.type]) for port in backend.outputs]
-        fields += [("suspect", "u4")] * backend.decoupler.suspects
-        made_, status = np.zeros(len(given), fields), np.zeros(len(given), np.uint32)
-        pointers = (ctypes.c_void_p(a.ctypes.data) for a in (given, made_, status))
-        self.library.batch(*pointers, ctypes.c_uint32(len(given)))
-        suspects = made_["suspect"] if backend.decoupler.suspects else np.zeros(len(given), int)
-        return np.array([made_[p.column] for p in backend.outputs]), status, suspects
-
     def __call__(self, readings):
-        """The same of readings (n, s) [SI], the pose in SI."""
-        pose, status, suspects = self.of(self.numbers(readings))
+        """Pose (n_pose, s) [SI], status (s,) and suspects (s,)."""
+        pose, status, suspects = self.steps(self.numbers(readings))
         return pose * np.array([[port.scale] for port in self.code.backend.outputs]), status, suspects
 
 
@@ -270,7 +240,7 @@ def test_the_compiled_c_names_the_suspects_that_python_does(case, arithmetic, ba
     readings[which, np.arange(2000)] = rng.uniform(-2 * most, 2 * most, 2000)
     given = backend.sample(np.arange(4000))  # any bits
     given[:, ::2] = step.numbers(readings)
-    pose, status, suspects = step.of(given)
+    pose, status, suspects = step.steps(given)
     wanted = backend.whole_step(given)
     assert (pose.astype(wanted[0].dtype) == wanted[0]).all()
     assert (status == wanted[1]).all()

@@ -16,7 +16,6 @@ import hallsym
 from hallsym.codegen import cost_of
 from hallsym.codegen.lowering.odd_series import ARCTANGENT, SINE, Odd, arctangent_error, shortest, sine_error
 from hallsym.families import halbach
-from hallsym.model import on_arrays
 
 PLAIN = {"A5": 0.0}
 SECOND = {**VALUES, "A2": 5e-3, "wavelength": 0.03017}
@@ -45,17 +44,6 @@ def made(case=BUILT, **variant):
 
 def turned(difference, period=LENGTH):
     return np.abs(difference - period * np.round(difference / period))
-
-
-def moved(seed=5, count=4000, gaps=(0.004, 0.01)):
-    rng = np.random.default_rng(seed)
-    return rng.uniform(-LENGTH / 2, LENGTH / 2, count), rng.uniform(*gaps, count)
-
-
-def read(case, x, z):
-    """Readings of the field's own equation in double."""
-    fit = fit_of(case)
-    return on_arrays(fit.model.reading)(fit.values, [], [x, z], [])[0]
 
 
 # -- polynomials ---------------------------------------------------------------------------------------------

@@ -38,7 +38,7 @@ def test_they_are_those_of_the_model(tmp_path, case):
     need("gcc")
     code = made(case, double=True, jacobian=True)
     code.write(tmp_path / "fw")
-    library = Library(tmp_path / "fw", code.decoupler, np.float64)
+    library = Library(tmp_path / "fw", code)
     rng = np.random.default_rng(5)
     for _ in range(20):
         pose, state = rng.uniform(-1e-4, 1e-4, 3), rng.uniform(-1e-4, 1e-4, 3)
