@@ -6,7 +6,6 @@ bound holds at angles that no proof looked at; a clipped voltage says nothing be
 
 from functools import cache
 from math import pi
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -52,7 +51,6 @@ def made(case, accuracy=None, kind=None):
 
 
 SLOW = pytest.mark.slow
-DATA = Path(__file__).parents[2] / "data" / "encoder"
 # -- ranges --------------------------------------------------------------------------------------------------
 
 X, Y = ca.SX.sym("x"), ca.SX.sym("y")

@@ -99,7 +99,7 @@ EVERY = {
         for name, more in {
             **dict.fromkeys(boards.BOARDS, ()), "12 sums": (None, True),
             "closed form of 12 sums": ((520, 620),), "24 sums": ((2800, 15_000),),
-            "grid of 24": (None, True), "rows": (one(4800),), "travel": (None, False, ()),
+            "rows": (one(4800),), "travel": (None, False, ()),
         }.items()
     },
     "five Halls q31": Kind(
@@ -167,9 +167,9 @@ def si(backend, pose):
 @pytest.mark.parametrize("name", EACH)
 def test_readings_of_a_pose_give_it_back(name):
     """The decoder of the reference inverts the model; the code is as near to it as it says."""
-    code, at = EVERY[name].made(), poses_of(name, 1000)
+    code, at = EVERY[name].made(), poses_of(name, 300)
     backend, d, pose = code.backend, code.decoupler, at[: len(code.decoupler.pose)]
-    inputs = inputs_of(name, at, np.random.default_rng(1).uniform(-0.2, 0.2, 1000) * waves.LENGTH)
+    inputs = inputs_of(name, at, np.random.default_rng(1).uniform(-0.2, 0.2, 300) * waves.LENGTH)
     exact = np.abs(d.difference(d.exact(inputs), pose)).max(axis=1)
     given, rounded = numbers_of(backend, inputs)
     moved = np.abs(d.difference(d.exact(rounded), pose)).max(axis=1)

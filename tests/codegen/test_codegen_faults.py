@@ -8,6 +8,7 @@ suspect.
 from functools import cache
 from math import pi
 
+import boards
 import numpy as np
 import pytest
 from firmware import CASES as STAGES
@@ -64,13 +65,13 @@ FITS = {
     "nine sums": lambda: calibrated(sums(9), NINE),
     "five sums": lambda: calibrated(sums(5), VALUES),
     "three sums": lambda: calibrated(sums(3), VALUES),
-    "12 sums, six coordinates": lambda: calibrated_planar(3, (0.0065, 0.0085), 0.0135, 0.003, 3),
+    "12 sums, six coordinates": lambda: boards.fit_of("12 sums"),
     "24 sums, six coordinates": lambda: calibrated_planar(6, (0.0065, 0.0085), 0.0135, 0.003, 3),
     "four probes": STAGES["four probes"],
     "two voltages": encoder,
 }
 ACCURACY = {"12 sums, six coordinates": 5e-6, "24 sums, six coordinates": 5e-6}
-SLOW = ("24 sums, six coordinates", "five sums", "three sums", "five Halls", "five probes")
+SLOW = [c for c in FITS if c not in ("nine sums", "four probes", "two voltages")]
 ALLOWED = norm.isf(residual.FALSE_ALARMS / 2)
 """Standard deviations of a residual that one sample of a million exceeds."""
 ONE_LEFT = ("four probes", "two voltages")
@@ -79,13 +80,6 @@ ONE_LEFT = ("four probes", "two voltages")
 INTEGERS = (*ONE_LEFT, "five Halls", "five probes")
 CASES = [
     *(pytest.param(c, "float", marks=pytest.mark.slow if c in SLOW else ()) for c in FITS),
-    *((c, "q31") for c in INTEGERS),
-]
-SOUND = [
-    *(
-        pytest.param(c, "float", marks=() if c in ("nine sums", *ONE_LEFT) else pytest.mark.slow)
-        for c in FITS
-    ),
     *((c, "q31") for c in INTEGERS),
 ]
 
@@ -209,7 +203,7 @@ def test_no_test_of_so_few_false_alarms_would_see_more(case):
     assert 0.03 < (status == 0).mean() < expected + 4 * np.sqrt(expected / count)
 
 
-@pytest.mark.parametrize(("case", "arithmetic"), SOUND)
+@pytest.mark.parametrize(("case", "arithmetic"), CASES)
 def test_a_sound_machine_raises_no_bit(case, arithmetic, batch):
     step, rng = batch(case, arithmetic), np.random.default_rng(77)
     d, flagged = step.code.decoupler, 0
@@ -283,7 +277,7 @@ def test_a_reading_that_nothing_checks_is_said(batch):
     three = hallsym.generate(STAGES["stage31"]())
     assert "nothing is left over" in " ".join(three.decoupler.of_faults)
     assert "nothing is left over" in " ".join(three.files["decoupler.h"].split(" * "))
-    alike = " ".join(made_of("12 sums, six coordinates").decoupler.of_faults)
+    alike = " ".join(boards.made("12 sums").decoupler.of_faults)
     assert "cannot be told" in alike
     four = " ".join(made("four probes").decoupler.of_faults)
     assert "hall_a_m, hall_b_m, hall_c_m, hall_d_m" in four

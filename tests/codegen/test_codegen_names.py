@@ -195,6 +195,13 @@ def test_every_file_says_its_licence_what_made_it_and_of_which_calibration(image
 # -- packages ------------------------------------------------------------------------------------------------
 
 
+USER = """
+#include "enc_left.h"
+#include "enc_left_params.h"
+int main(void) { return (int)enc_left_check(&enc_left_params); }
+"""
+
+
 @pytest.mark.slow
 def test_an_installed_library_is_found_by_its_name(image, tmp_path):
     need("cmake", "gcc")
@@ -210,10 +217,7 @@ def test_an_installed_library_is_found_by_its_name(image, tmp_path):
         "cmake_minimum_required(VERSION 3.13)\nproject(user C)\nfind_package(enc_left 3 REQUIRED)\n"
         "add_executable(user main.c)\ntarget_link_libraries(user enc_left::enc_left)\n"
     )
-    (user / "main.c").write_text(
-        '#include "enc_left.h"\n#include "enc_left_params.h"\n'
-        "int main(void) { return (int)enc_left_check(&enc_left_params); }\n"
-    )
+    (user / "main.c").write_text(USER)
     ran(user, "cmake", "-S", ".", "-B", "b", f"-DCMAKE_PREFIX_PATH={installed}")
     ran(user, "cmake", "--build", "b")
     ran(user, "b/user")
@@ -262,10 +266,7 @@ target_link_libraries(image enc_left)
 def test_the_zephyr_module_builds_with_a_stand_in_of_its_functions(image, tmp_path):
     need("cmake", "gcc")
     (tmp_path / "CMakeLists.txt").write_text(ZEPHYR.replace("MODULE", str(image / "enc_left")))
-    (tmp_path / "main.c").write_text(
-        '#include "enc_left.h"\n#include "enc_left_params.h"\n'
-        "int main(void) { return (int)enc_left_check(&enc_left_params); }\n"
-    )
+    (tmp_path / "main.c").write_text(USER)
     ran(tmp_path, "cmake", "-S", ".", "-B", "b", "-DCMAKE_POLICY_DEFAULT_CMP0076=NEW")
     ran(tmp_path, "cmake", "--build", "b")
     ran(tmp_path, "b/image")
