@@ -1,15 +1,20 @@
-"""The generated C of a stage: golden copy, status and zeros, interrupts, damaged tables, C++ and CMake.
+"""The generated C of a stage: golden copy, zeros, interrupts, damaged tables, C++, slopes of the pose.
 
-What holds for C of every kind is in `test_codegen_every`. What is missing is skipped with its name; in
-continuous integration everything must be there.
+At a pose the readings are f(pose, state), so d pose / d reading is the inverse of f's slope by the pose. What
+holds for C of every kind is in `test_codegen_every`. What is missing is skipped with its name; in continuous
+integration everything must be there.
 """
 
+import ctypes
 import re
+from functools import cache
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from firmware import (
+    CASES,
     GOLDEN,
     PATHS,
     STRICT,
@@ -18,6 +23,7 @@ from firmware import (
     instructions,
     made,
     need,
+    passes,
     proved_by_eva,
     ran,
     written,
@@ -72,20 +78,6 @@ def test_the_whole_footprint_is_printed(golden):
 
 
 # -- behaviour, through the compiled library ---------------------------------------------------------------
-
-
-def test_each_bit_is_its_own_input(compiled):
-    library, code = compiled
-    header = str(code.files["decoupler.h"])
-    for k, column in enumerate(code.decoupler.inputs):
-        bit = re.search(rf"#define DECOUPLER_STATUS_{column.rpartition('_')[0].upper()} (0x\w+)UL", header)
-        for value in (np.nan, np.inf, -np.inf, code.decoupler.ends(column)[1] * 1.01):
-            inputs = np.zeros(6, np.float32)
-            inputs[k] = value
-            assert library.step(inputs)[1] == int(bit[1], 16) == 1 << k
-    for end in (0, 1):  # the ends themselves are inside
-        ends = np.array([code.decoupler.ends(c)[end] for c in code.decoupler.inputs], np.float32)
-        assert library.step(ends)[1] == 0
 
 
 def test_the_zero_belongs_to_a_reset(compiled):
@@ -210,3 +202,68 @@ def test_the_header_is_also_cpp(golden, tmp_path):
     objects = [str(p) for p in sorted(tmp_path.glob("*.o"))]
     ran(golden, *cpp, *PATHS, str(user), *objects, "-o", str(tmp_path / "user"))
     ran(golden, str(tmp_path / "user"))  # links by extern "C"; status 0: zero is in the box
+
+
+# -- slopes
+
+
+@cache
+def implied(case):
+    """The slopes of the pose by the readings by the implicit function theorem."""
+    fit = CASES[case]()
+    model = fit.model
+    pose, state = ca.SX.sym("pose", len(model.pose)), ca.SX.sym("state", len(model.state))
+    reading = model.reading(fit.values, np.zeros(len(model.offsets)), pose, state)
+    slopes = ca.inv(ca.jacobian(reading, pose))
+    return ca.Function("implied", [pose, state], [reading, slopes])
+
+
+def slopes_of(library, inputs, shape):
+    out = np.zeros(shape, library.dtype)
+    call = library.library.decoupler_jacobian
+    call.restype = ctypes.c_uint32
+    inputs = np.asarray(inputs, library.dtype)
+    given = (library.table, inputs, out)
+    return call(*(a.ctypes.data_as(ctypes.c_void_p) for a in given)), out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["stage31", "vertical_offset_coupling", "exact_rotation"])
+def test_they_are_those_of_the_model(tmp_path, case):
+    need("gcc")
+    code = made(case, double=True, jacobian=True)
+    code.write(tmp_path / "fw")
+    library = Library(tmp_path / "fw", code)
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        pose, state = rng.uniform(-1e-4, 1e-4, 3), rng.uniform(-1e-4, 1e-4, 3)
+        reading, expected = (np.asarray(part) for part in implied(case)(pose, state))
+        status, found = slopes_of(library, np.concatenate([reading.ravel(), state]), (3, 3))
+        assert status == 0
+        assert found == pytest.approx(expected, rel=1e-6, abs=1e-8)
+
+
+LATER = [pytest.param(c, marks=pytest.mark.slow) for c in CASES if c != "stage31"]
+
+
+@pytest.mark.parametrize("case", ["stage31", *LATER])
+def test_the_self_test_holds_them(tmp_path, case):
+    code = made(case, jacobian=True)
+    passes(written(code, tmp_path / "fw"))
+    bounds = [b for b in str(code.files["test/selftest_vectors.h"]).splitlines() if "slope_bounds" in b]
+    assert bounds[0].count(",") + 1 == 3 * len(code.decoupler.model.channels)
+
+
+@pytest.mark.slow
+def test_a_wrong_slope_is_noticed(tmp_path):
+    need("gcc", "make")
+    code = made("stage31", jacobian=True)
+    for name in ("x_hall_a", "rz_hall_b", "y_hall_c"):
+        folder = tmp_path / name
+        code.write(folder)
+        source = folder / "decoupler.c"
+        text = source.read_text()
+        assert f"slopes->{name} = " in text
+        source.write_text(text.replace(f"slopes->{name} = ", f"slopes->{name} = 1.00001f * "))
+        with pytest.raises(AssertionError, match=r"85 vectors failed"):
+            ran(folder, "make", "check")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from test_codegen_rotary import ELLIPSE, LAYOUTS, calibrated, turned
+from test_codegen_rotary import ELLIPSE, calibrated, turned
 from test_codegen_rotary import fit_of as encoder_of
 
 import hallsym
@@ -23,7 +23,6 @@ from hallsym.codegen.lowering.correction import Grid, Series, grid, proved, shor
 from hallsym.codegen.lowering.phase_curve import Curve
 from hallsym.codegen.operations import graph
 from hallsym.errors import InputError
-from hallsym.families.rotary import models as rotary
 from hallsym.model import on_arrays
 
 
@@ -173,16 +172,6 @@ def test_a_clipped_channel_gives_its_angle_back(accuracy):
 
 
 # -- the C itself --------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_a_table_that_is_as_near_as_its_proof_says_is_no_other_model():
-    """What bits of a place that are cut off add (here 6e-12 rad) is rounding; beyond the proof by itself."""
-    ellipse = {"Vx": 0.01175857, "Vy": -0.00784108, "Ax": 1.0, "Ay": 0.96567946, "beta": 0.01219565}
-    fit = calibrated(rotary.rotary(LAYOUTS["angle"]), ellipse)
-    code = hallsym.generate(fit, correction="table")
-    assert code.decoupler.arrays
-    assert 0 < code.decoupler.cut < code.bounds.error["angle_rad"]
 
 
 # -- options -------------------------------------------------------------------------------------------------

@@ -85,12 +85,6 @@ def test_a_coarser_accuracy_takes_fewer_steps_of_cordic():
         assert accuracy / 65 < turns.angle_error(2.0**40, steps) - steps * turns.UNIT / 2 < accuracy / 31
 
 
-def test_an_encoder_that_needs_no_correction_has_no_table():
-    source = made("ideal angle").backend
-    assert not source.program.arrays
-    assert source.errors(1000)["angle_rad"] < 1e-9
-
-
 # -- the C itself --------------------------------------------------------------------------------------------
 
 
