@@ -1,6 +1,10 @@
-"""`hallsym budget`: the uncertainty of a decoded position, and any other budget by the GUM."""
+"""`hallsym budget`: the uncertainty of a decoded position, and any other budget by the GUM.
 
-from argparse import ArgumentParser, Namespace
+State the uncertainty of a decoded position: fit, Hall noise, vertical sensors, reference, ADC and
+zeroing, propagated through the model; or evaluate a budget stated in a TOML file.
+"""
+
+from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +14,6 @@ import numpy as np
 
 from hallsym import uncertainty
 from hallsym.cli import NOT_DETERMINED, OK, common
-from hallsym.cli.parser import add_options
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, load_fit
 from hallsym.log import Noise, check_noise_keys
@@ -37,39 +40,25 @@ examples:
 """
 
 
-def add(sub: Any) -> None:
-    """Add the command to the parser."""
-    parser = common.command(
-        sub, "budget", run,
-        "State the uncertainty of a decoded position: fit, Hall noise, vertical sensors, reference, ADC and\n"
-        "zeroing, propagated through the model; or evaluate a budget stated in a TOML file.", EPILOG,
-    )  # fmt: skip
-    add_options(parser, """
-        file FILE                       a calibration (.json), or a budget (.toml)
-        log LOG <optional>              log whose workspace is evaluated
-        --curve JSON                    a curve that the machine follows: its error joins the budget
-    """)  # fmt: skip
-    _position_options(parser)
-    parser.add_argument(
-        "--monte-carlo", nargs="?", const=0, type=int, metavar="N",
-        help="confirm by propagating distributions (JCGM 101): N trials, or until stable",
-    )  # fmt: skip
-    add_options(parser, """
-        --seed SEED <seed=0>            of the Monte Carlo trials (default 0)""")  # fmt: skip
-    common.plots_options(parser, "save budget bars and a map of U")
-    common.log_options(parser)
-
-
-def _position_options(parser: ArgumentParser) -> None:
-    group = parser.add_argument_group("of a calibration")
-    add_options(group, """
-        --at COLUMN=VALUE <repeat>      pose and vertical state of the budget: --at x_um=100 --at z_um=250
-            (repeat; default 0)
-        --settings TOML                 averaging, ADC, zeroing, vertical sensors, scale of the reference
-        --diagnosis JSON                file of 'hallsym diagnose LOG -o FILE.json': adds the model error, and
-            the models that the log does not exclude, to the budget
-        --range COLUMN=LOW:HIGH <repeat>  map U over two pose coordinates and the first state, such as x, y
-            and Z: --range x_um=-300:300 (repeat; what is not given is what LOG recorded)""")  # fmt: skip
+OPTIONS = """
+file FILE                       a calibration (.json), or a budget (.toml)
+log LOG <optional>              log whose workspace is evaluated
+--curve JSON                    a curve that the machine follows: its error joins the budget
+[of a calibration]
+--at COLUMN=VALUE <repeat>      pose and vertical state of the budget: --at x_um=100 --at z_um=250
+    (repeat; default 0)
+--settings TOML                 averaging, ADC, zeroing, vertical sensors, scale of the reference
+--diagnosis JSON                file of 'hallsym diagnose LOG -o FILE.json': adds the model error, and
+    the models that the log does not exclude, to the budget
+--range COLUMN=LOW:HIGH <repeat>  map U over two pose coordinates and the first state, such as x, y
+    and Z: --range x_um=-300:300 (repeat; what is not given is what LOG recorded)
+[]
+--monte-carlo N <int, alone=0>  confirm by propagating distributions (JCGM 101): N trials, or until
+    stable
+--seed SEED <seed=0>            of the Monte Carlo trials (default 0)
+@plots save budget bars and a map of U
+@log
+"""
 
 
 def run(options: Namespace) -> int:

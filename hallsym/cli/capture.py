@@ -1,4 +1,9 @@
-"""`hallsym capture`: lines of numbers from a serial port, as a log."""
+"""`hallsym capture`: lines of numbers from a serial port, as a log.
+
+Write the lines of numbers that a board prints on a serial port as a log (.parquet or .csv), until
+Ctrl-C, --lines or --duration. Numbers are separated by commas, semicolons, tabs or blanks; labels
+before them (sin:0.31) are left out. Lost lines and lines without numbers are counted and reported.
+"""
 
 import math
 import signal
@@ -9,8 +14,7 @@ from types import FrameType
 from typing import Any
 
 from hallsym.cli import NOT_DETERMINED, OK
-from hallsym.cli.common import command, progress_of, say
-from hallsym.cli.parser import add_options
+from hallsym.cli.common import progress_of, say
 from hallsym.errors import quoted, require
 from hallsym.log import LogWriter
 from hallsym.log.capture import Lines, capture, checked, open_port
@@ -24,25 +28,17 @@ needs: pip install 'hallsym[capture]'
 """
 
 
-def add(sub: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(
-        sub, "capture", run,
-        "Write the lines of numbers that a board prints on a serial port as a log (.parquet or .csv), until\n"
-        "Ctrl-C, --lines or --duration. Numbers are separated by commas, semicolons, tabs or blanks; labels\n"
-        "before them (sin:0.31) are left out. Lost lines and lines without numbers are counted and reported.",
-        EPILOG,
-    )  # fmt: skip
-    add_options(parser, """
-        port PORT                       such as /dev/ttyACM0, COM3, or socket://host:port
-        --baud N <int=115200>           bits a second (default 115200)
-        --columns NAMES <required>      names of the numbers of a line, with their units: v_sin_mv,v_cos_mv.
-            The board's own time is t_s, t_ms or t_us; without it t_s is the time of arrival. 'counter'
-            counts lines, so that lost ones are reported; 'skip' is not kept
-        -o, --output LOG <required>     log to write: .parquet or .csv
-        --lines N <int>                 end after so many lines
-        --duration S <float>            end after so many seconds
-        --wait S <float=5.0>            seconds to wait for the first line (default 5)""")  # fmt: skip
+OPTIONS = """
+port PORT                       such as /dev/ttyACM0, COM3, or socket://host:port
+--baud N <int=115200>           bits a second (default 115200)
+--columns NAMES <required>      names of the numbers of a line, with their units: v_sin_mv,v_cos_mv.
+    The board's own time is t_s, t_ms or t_us; without it t_s is the time of arrival. 'counter'
+    counts lines, so that lost ones are reported; 'skip' is not kept
+-o, --output LOG <required>     log to write: .parquet or .csv
+--lines N <int>                 end after so many lines
+--duration S <float>            end after so many seconds
+--wait S <float=5.0>            seconds to wait for the first line (default 5)
+"""
 
 
 def run(options: Namespace) -> int:

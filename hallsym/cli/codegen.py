@@ -1,12 +1,14 @@
-"""`hallsym codegen`: a calibration as C for the controller."""
+"""`hallsym codegen`: a calibration as C for the controller.
+
+Write the decoupler of a calibration as a folder of C99: no heap, no libm, same bits everywhere,
+with a parameter table that a recalibration replaces, a self-test and proofs.
+"""
 
 from argparse import Namespace
 from pathlib import Path
-from typing import Any
 
 from hallsym.cli import NOT_DETERMINED, OK
-from hallsym.cli.common import column_numbers, column_ranges, command, say
-from hallsym.cli.parser import add_options
+from hallsym.cli.common import column_numbers, column_ranges, say
 from hallsym.codegen import Generated, generate
 from hallsym.codegen.folder import name_of
 from hallsym.codegen.generation import sha256
@@ -32,39 +34,33 @@ then: make -C firmware check qemu misra prove
 """
 
 
-def add(sub: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(
-        sub, "codegen", run,
-        "Write the decoupler of a calibration as a folder of C99: no heap, no libm, same bits everywhere,\n"
-        "with a parameter table that a recalibration replaces, a self-test and proofs.", EPILOG,
-    )  # fmt: skip
-    add_options(parser, f"""
-        calibration CALIB               a calibration saved by 'hallsym fit -o'
-        -o, --output FOLDER <required>  folder to write
-        --params-only                   replace the parameters of a generated folder, not its code
-        --force                         replace generated files that are there
-        --range COLUMN=LOW:HIGH <repeat>  box of a pose, state or reading column: --range z_um=-200:200
-            (repeat; default: as recorded)
-        --arithmetic ARITHMETIC <float|q31>  float (default), or q31: 32-bit integers, for a controller
-            without a floating-point unit
-        --accuracy COLUMN=ANGLE         encoders: largest error of the correction of the angle besides
-            rounding, as angle_mrad=1 (default: angle_nrad=30, of q31 angle_urad=10); a coarser one takes
-            fewer waves or a smaller table; magnet arrays: of a place, as x_um=0.1
-        --correction CORRECTION <{"|".join(CORRECTIONS)}>  encoders: a series of waves, or a table of 64 to
-            1024 entries (default: auto, fewer bytes)
-        --name NAME                     prefix of symbols and files, such as enc_left (default: decoupler):
-            several decouplers then fit in one image
-        --license SPDX                  SPDX expression in every file, such as MIT (default: {LICENSE},
-            yours to license)
-        --predict LOG                   with decoupler_predict(): position and speed at a time that the
-            controller states, by an observer whose bandwidth has the least error on this log
-        --bandwidth HZ <float>          of --predict, in place of the log's
-        --latency SECONDS <float=0.0>   of --predict: from the pose to the timestamp of its sample, which a
-            prediction adds (default: 0)
-        --double                        double instead of float, for hosts
-        --jacobian                      with slopes of the pose by the readings, for Kalman filters
-        --allow-undetermined            use values that the log does not determine""")  # fmt: skip
+OPTIONS = f"""
+calibration CALIB               a calibration saved by 'hallsym fit -o'
+-o, --output FOLDER <required>  folder to write
+--params-only                   replace the parameters of a generated folder, not its code
+--force                         replace generated files that are there
+--range COLUMN=LOW:HIGH <repeat>  box of a pose, state or reading column: --range z_um=-200:200
+    (repeat; default: as recorded)
+--arithmetic ARITHMETIC <float|q31>  float (default), or q31: 32-bit integers, for a controller
+    without a floating-point unit
+--accuracy COLUMN=ANGLE         encoders: largest error of the correction of the angle besides
+    rounding, as angle_mrad=1 (default: angle_nrad=30, of q31 angle_urad=10); a coarser one takes
+    fewer waves or a smaller table; magnet arrays: of a place, as x_um=0.1
+--correction CORRECTION <{"|".join(CORRECTIONS)}>  encoders: a series of waves, or a table of 64 to
+    1024 entries (default: auto, fewer bytes)
+--name NAME                     prefix of symbols and files, such as enc_left (default: decoupler):
+    several decouplers then fit in one image
+--license SPDX                  SPDX expression in every file, such as MIT (default: {LICENSE},
+    yours to license)
+--predict LOG                   with decoupler_predict(): position and speed at a time that the
+    controller states, by an observer whose bandwidth has the least error on this log
+--bandwidth HZ <float>          of --predict, in place of the log's
+--latency SECONDS <float=0.0>   of --predict: from the pose to the timestamp of its sample, which a
+    prediction adds (default: 0)
+--double                        double instead of float, for hosts
+--jacobian                      with slopes of the pose by the readings, for Kalman filters
+--allow-undetermined            use values that the log does not determine
+"""
 
 
 def run(options: Namespace) -> int:

@@ -4,14 +4,13 @@ import math
 import re
 import shlex
 import sys
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from hallsym.cli import COMMANDS, progress
-from hallsym.cli.parser import HelpText, add_options
+from hallsym.cli import progress
 from hallsym.cli.progress import Meter
 from hallsym.errors import InputError, require
 from hallsym.estimation import Fit, load_fit
@@ -32,25 +31,6 @@ from hallsym.simulation import Campaign, campaign_from, paper_campaign, read_cam
 from hallsym.toml import column_of
 
 
-def command(
-    sub: Any, name: str, run: Callable[[Namespace], int], description: str, epilog: str = ""
-) -> ArgumentParser:
-    """Add a sub-command that `run(options)` carries out."""
-    parser: ArgumentParser = sub.add_parser(
-        name, help=COMMANDS[name], description=description, epilog=epilog, formatter_class=HelpText
-    )
-    parser.set_defaults(run=run)
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
-    return parser
-
-
-def plots_options(parser: Any, what: str = "save pictures") -> None:
-    """Options of every command that draws; `parser` may be a group of options."""
-    parser.add_argument("--plots", metavar="FOLDER", help=what)
-    add_options(parser, """
-        --plot-format PLOT_FORMAT <=png, png|pdf|svg>  of each picture (default: png)""")  # fmt: skip
-
-
 def plots(
     options: Namespace, draw: Mapping[str, Callable[[], Picture]], *named: object,
     folder: str | Path | None = None,
@@ -69,56 +49,8 @@ def plots(
     return save(draw, folder, getattr(options, "plot_format", "png"), ", ".join(brief))
 
 
-LOG_OPTIONS = """
-    --column OURS=THEIRS <repeat>   our name, ending with the unit their column is in, such as
-        hall_a_um=HallA (repeat); of an angle in counts also those of a turn:
-        angle_count=raw,counts_per_turn=16384
-    --format FORMAT                 csv, parquet and others that are listed below; by the ending if not given
-    --delimiter DELIMITER           of a text file: ';', tab, blank; recognised where it is not given
-    --decimal SIGN                  of its numbers: . or , where both would be possible
-    --sheet SHEET                   of a workbook or a database that has several
-    --column-file TOML              the same as a file: [columns] hall_a_um = "HallA"
-    --join FILE <repeat>            another file of the same log (repeat): more runs where it has the same
-        columns, else columns that are read at the times of the slower file
-    --clock GROUP:HOW               of several files, or of groups of one (TDMS, MDF, MCAP, HDF5), with clocks
-        of their own: whose samples become the rows, and how others are read there: Hall:linear or
-        Hall:nearest
-    --drop-bad                      leave out bad samples and runs and go on; they are counted
-    --noise COLUMN=SIGMA <repeat>   1 sigma in SI: --noise hall_m=5e-7 (repeat); estimated from the log where
-        not given"""
-"""Options of every command that reads a log, explained by 'hallsym info --help'."""
 FILE_OPTIONS = ("format", "delimiter", "decimal", "sheet", "clock")
-"""Those that say what a file is."""
-
-
-def log_options(parser: ArgumentParser, options: str = LOG_OPTIONS, *, explained: bool = False) -> None:
-    """Add the options that say how a log, or a table, is read; where they are not explained, their names."""
-    named = ", ".join(re.findall(r"^ *(--[\w-]+)", options, re.M))
-    said = None if explained else f"{named}: see 'hallsym info --help'"
-    add_options(parser.add_argument_group("reading the file", said), options, hidden=not explained)
-
-
-def table_options(parser: ArgumentParser) -> None:
-    """Add those options that a table of anything has."""
-    log_options(parser, LOG_OPTIONS.partition("\n    --column-file")[0])
-
-
-def model_options(parser: ArgumentParser, default: str) -> None:
-    """Options of every command that builds a model."""
-    group = parser.add_argument_group("model")
-    add_options(group, f"""
-        --model MODEL                   such as stage31 or rotary; 'hallsym info' lists them (default:
-            {default})
-        --effect EFFECT <repeat>        add an effect, such as exact_rotation or
-            mains_hum:frequency_hz=50.02 (repeat)
-        --machine TOML                  your machine: [[probes]] with channel, position_m, senses;
-            [parameters.H1x] with nominal, lower, upper, fixed""")  # fmt: skip
-
-
-def own_option(parser: ArgumentParser) -> None:
-    """The file of the user's own effects, for every command that builds or reads a model."""
-    add_options(parser, """
-        --effects PY                    your own effects: a file that defines EFFECTS""")  # fmt: skip
+"""Options that say what a file is."""
 
 
 def own_effects(options: Namespace) -> dict[str, Effect]:
@@ -308,17 +240,17 @@ def samples_words(options: Namespace) -> list[str]:
 
 def campaign_of(options: Namespace) -> Campaign:
     """Return the campaign of a file, else the paper's, else the example of the model's family."""
-    for name in ("step", "duration"):
-        value = getattr(options, name)
+    step, duration = (getattr(options, name, None) for name in ("step", "duration"))
+    for name, value in (("step", step), ("duration", duration)):
         require(value is None or 0 < value < math.inf, f"--{name}", "a positive number of seconds", value)
     own = build(options.model).family.example if options.model and options.campaign is None else None
     if own:
-        if options.step or options.duration:
+        if step or duration:
             raise InputError("--step and --duration belong to the paper's campaign of the stage.")
         return campaign_from(own.campaign, f"example of {options.model}")
     if options.campaign is None:
-        return paper_campaign(options.step or 2e-3, options.duration or 1.0)
-    if options.step or options.duration:
+        return paper_campaign(step or 2e-3, duration or 1.0)
+    if step or duration:
         raise InputError(
             "--step and --duration belong to the paper's campaign; a campaign file states its own."
         )
@@ -338,8 +270,8 @@ def truth_of(
 
     Where no model is named, that of the axes which `campaign` moves.
     """
-    if options.values:
-        known = load_fit(options.values)
+    if path := getattr(options, "values", None):
+        known = load_fit(path)
         if options.model and options.model != known.model.name:
             raise InputError(f"--values holds a {known.model.name}; leave --model out or give that name.")
         return known.model, named(known.model.names, known.values)

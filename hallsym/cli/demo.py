@@ -1,4 +1,8 @@
-"""`hallsym demo`: the paper's calibration, step by step, on the bundled campaign: Tables 2, 4 and 8."""
+"""`hallsym demo`: the paper's calibration, step by step, on the bundled campaign: Tables 2, 4 and 8.
+
+Calibrate the bundled 6-DOF stage campaign as Chen et al. (Sensors 2016, 16, 872) do: designed
+parameters, Model (30), Model (31), each beside the paper's own error table.
+"""
 
 from argparse import Namespace
 from collections.abc import Callable
@@ -9,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.cli import OK
-from hallsym.cli.common import command, fit_pictures, progress_of, say
-from hallsym.cli.parser import add_options
+from hallsym.cli.common import fit_pictures, progress_of, say
 from hallsym.estimation import Fit, fit
 from hallsym.families import published
 from hallsym.log import Log
@@ -25,15 +28,9 @@ HEIGHT = 250e-6
 POSE = ("x_m", "y_m", "rz_rad")
 
 
-def add(sub: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(
-        sub, "demo", run,
-        "Calibrate the bundled 6-DOF stage campaign as Chen et al. (Sensors 2016, 16, 872) do: designed\n"
-        "parameters, Model (30), Model (31), each beside the paper's own error table.",
-    )  # fmt: skip
-    add_options(parser, """
-        -o, --output FOLDER <=demo>     where calib.json and pictures go (default: demo)""")  # fmt: skip
+OPTIONS = """
+-o, --output FOLDER <=demo>     where calib.json and pictures go (default: demo)
+"""
 
 
 def run(options: Namespace) -> int:

@@ -1,22 +1,20 @@
-"""`hallsym diagnose`: where the gap lies, which effect causes it, how far it shrinks."""
+"""`hallsym diagnose`: where the gap lies, which effect causes it, how far it shrinks.
+
+Fit a model on a log, find the residual error above the noise, which effect causes it, and
+how far the error shrinks with that effect in the model, judged on holdout runs.
+"""
 
 import shlex
 from argparse import Namespace
-from typing import Any
 
 from hallsym.cli import INTERRUPTED, OK
 from hallsym.cli.common import (
-    command,
-    log_options,
-    model_options,
     open_log,
     own_effects,
-    own_option,
     progress_of,
     reading_words,
     say,
 )
-from hallsym.cli.parser import add_options
 from hallsym.diagnosis import Examined, examine, model_on, prepare
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
@@ -36,35 +34,29 @@ EVERY = "all"
 """Word for every effect of the catalogue."""
 
 
-def add(sub: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(
-        sub, "diagnose", run,
-        "Fit a model on a log, find the residual error above the noise, which effect causes it, and\n"
-        "how far the error shrinks with that effect in the model, judged on holdout runs.",
-        "examples:\n"
-        "  hallsym diagnose LOG --model stage31\n"
-        "  hallsym diagnose LOG --model calib.json --holdout 2,7,12 --json\n"
-        "  hallsym diagnose LOG --effects my_effects.py -o report.html\n"
-        "  hallsym diagnose LOG --power hysteresis,time_skew      from which size on these would be found",
-    )  # fmt: skip
-    add_options(parser, f"""
-        log LOG                         log, or a folder with log and meta.json
-        --power EFFECTS <optional, alone={EVERY}>  instead: the detection power behind 'no gap': inject
-            effects (by name; all take an hour or two, Ctrl-C keeps the results so far) into its motion and
-            noise, and diagnose each simulated log blind
-        --repeats REPEATS <int={REPEATS}>  trials of each size with --power (default {REPEATS})
-        --holdout RUNS                  runs to judge on (default: the log's own, else every fifth)
-    """)  # fmt: skip
-    own_option(parser)
-    add_options(parser, """
-        --threshold THRESHOLD <float>   relative decrease of the gap that counts (default 0.05)
-        --budget SECONDS <float>        end the search after so long with the result so far and a note
-            (default: no limit)
-        -o, --output FILE <repeat>      save the diagnosis: .html for one page to read and print, anything
-            else for JSON (repeat)""")  # fmt: skip
-    model_options(parser, "the log's base_model, else by its columns")
-    log_options(parser)
+EPILOG = """\
+examples:
+  hallsym diagnose LOG --model stage31
+  hallsym diagnose LOG --model calib.json --holdout 2,7,12 --json
+  hallsym diagnose LOG --effects my_effects.py -o report.html
+  hallsym diagnose LOG --power hysteresis,time_skew      from which size on these would be found
+"""
+OPTIONS = f"""
+log LOG                         log, or a folder with log and meta.json
+--power EFFECTS <optional, alone={EVERY}>  instead: the detection power behind 'no gap': inject
+    effects (by name; all take an hour or two, Ctrl-C keeps the results so far) into its motion and
+    noise, and diagnose each simulated log blind
+--repeats REPEATS <int={REPEATS}>  trials of each size with --power (default {REPEATS})
+--holdout RUNS                  runs to judge on (default: the log's own, else every fifth)
+@own
+--threshold THRESHOLD <float>   relative decrease of the gap that counts (default 0.05)
+--budget SECONDS <float>        end the search after so long with the result so far and a note
+    (default: no limit)
+-o, --output FILE <repeat>      save the diagnosis: .html for one page to read and print, anything
+    else for JSON (repeat)
+@model the log's base_model, else by its columns
+@log
+"""
 
 
 def run(options: Namespace) -> int:

@@ -1,4 +1,10 @@
-"""`hallsym evaluate`: errors of a saved calibration on other logs, and whether they belong to it."""
+"""`hallsym evaluate`: errors of a saved calibration on other logs, and whether they belong to it.
+
+Decode logs with a saved calibration, tabulate the errors against the reference, and say of each
+log whether it still belongs to the calibration: its residual error and each parameter that it
+identifies, from a fit of its own, are tested. The zero deviations of each run are estimated from
+that run: a reset is a reset. Several logs are one row each.
+"""
 
 import shlex
 from argparse import Namespace
@@ -7,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.cli import BAD_INPUT, CHANGED, NOT_DESCRIBED, OK, common
-from hallsym.cli.parser import add_options
 from hallsym.errors import InputError
 from hallsym.estimation import Evaluation, Fit, evaluate, load_fit
 from hallsym.inference import FALSE_ALARM, Belonging, belonging, check_false_alarm
@@ -17,34 +22,27 @@ from hallsym.report.data.periodic import periodic_of
 from hallsym.report.figures.campaign import evaluation_figure
 from hallsym.report.results.evaluation import Judged, belonging_blocks, chart, evaluation_content
 
+EPILOG = """\
+exit codes: 0 every log belongs; 1 one does not; 2 bad input, or a log could not be decoded; 3 the
+calibration does not describe a log, or the recording is at fault
 
-def add(sub: Any) -> None:
-    """Add the command to the parser."""
-    parser = common.command(
-        sub, "evaluate", run,
-        "Decode logs with a saved calibration, tabulate the errors against the reference, and say of each\n"
-        "log whether it still belongs to the calibration: its residual error and each parameter that it\n"
-        "identifies, from a fit of its own, are tested. The zero deviations of each run are estimated from\n"
-        "that run: a reset is a reset. Several logs are one row each.",
-        "exit codes: 0 every log belongs; 1 one does not; 2 bad input, or a log could not be decoded; 3 the\n"
-        "calibration does not describe a log, or the recording is at fault\n\n"
-        "examples:\n"
-        "  hallsym evaluate calib.json other.csv\n"
-        "  hallsym evaluate calib.json week_*.tdms --plots pictures\n"
-        "  hallsym evaluate calib.json today.mf4 --clock Hall:linear || mail -s 'calibrate again' lab",
-    )  # fmt: skip
-    add_options(parser, """
-        calibration CALIB               a calibration saved by 'hallsym fit -o'
-        logs LOG <several>              logs to judge on, in the order of time""")  # fmt: skip
-    common.own_option(parser)
-    add_options(parser, f"""
-        --by-run                        all errors of each log, one line per run
-        --own-zero                      estimate the zero of a periodic reference from each run too: it was
-            homed or coupled anew
-        --false-alarm P <float={FALSE_ALARM}>  familywise false-alarm rate of the tests of a log (default
-            {FALSE_ALARM:g})""")  # fmt: skip
-    common.plots_options(parser)
-    common.log_options(parser)
+examples:
+  hallsym evaluate calib.json other.csv
+  hallsym evaluate calib.json week_*.tdms --plots pictures
+  hallsym evaluate calib.json today.mf4 --clock Hall:linear || mail -s 'calibrate again' lab
+"""
+OPTIONS = f"""
+calibration CALIB               a calibration saved by 'hallsym fit -o'
+logs LOG <several>              logs to judge on, in the order of time
+@own
+--by-run                        all errors of each log, one line per run
+--own-zero                      estimate the zero of a periodic reference from each run too: it was
+    homed or coupled anew
+--false-alarm P <float={FALSE_ALARM}>  familywise false-alarm rate of the tests of a log (default
+    {FALSE_ALARM:g})
+@plots save pictures
+@log
+"""
 
 
 def run(options: Namespace) -> int:

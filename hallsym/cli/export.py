@@ -1,12 +1,14 @@
-"""`hallsym export`: a calibration as the table of a maker's firmware."""
+"""`hallsym export`: a calibration as the table of a maker's firmware.
+
+Write the calibration of an encoder as the correction table of a maker's firmware, in its bytes,
+and print the error over a turn before and after. 'hallsym fit' reads such tables as logs.
+"""
 
 from argparse import Namespace
 from math import degrees
-from typing import Any
 
 from hallsym.cli import NOT_DETERMINED, OK
-from hallsym.cli.common import command, own_effects, own_option, say
-from hallsym.cli.parser import add_options
+from hallsym.cli.common import own_effects, say
 from hallsym.codegen.table import Error, Exported, export_table
 from hallsym.estimation.calibration import load_fit
 from hallsym.log.maker_tables import BY_NAME
@@ -23,28 +25,21 @@ examples:
 """
 
 
-def add(sub: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(
-        sub, "export", run,
-        "Write the calibration of an encoder as the correction table of a maker's firmware, in its bytes,\n"
-        "and print the error over a turn before and after. 'hallsym fit' reads such tables as logs.",
-        EPILOG,
-    )  # fmt: skip
-    add_options(parser, f"""
-        calibration CALIB               a calibration saved by 'hallsym fit -o'
-        --table FORMAT <required>       one of {", ".join(BY_NAME)}
-        -o, --output FILE <required>    file to write
-        --like FILE                     the maker's own file: its layout, number of entries, zero, sense and
-            all else are kept, and the error with its old table is printed too
-        --entries N <int>               entries of the table (default: as the firmware has)
-        --motor-steps N <int>           full steps in a turn of the stepper that was the reference: its
-            waves, N/4 a turn and multiples, are left out; tables by full steps have N entries (default:
-            200)
-        --keep-reference                include the error of the reference that the calibration estimated
-            (default: left out)
-        --allow-undetermined            use values that the log does not determine""")  # fmt: skip
-    own_option(parser)
+OPTIONS = f"""
+calibration CALIB               a calibration saved by 'hallsym fit -o'
+--table FORMAT <required>       one of {", ".join(BY_NAME)}
+-o, --output FILE <required>    file to write
+--like FILE                     the maker's own file: its layout, number of entries, zero, sense and
+    all else are kept, and the error with its old table is printed too
+--entries N <int>               entries of the table (default: as the firmware has)
+--motor-steps N <int>           full steps in a turn of the stepper that was the reference: its
+    waves, N/4 a turn and multiples, are left out; tables by full steps have N entries (default:
+    200)
+--keep-reference                include the error of the reference that the calibration estimated
+    (default: left out)
+--allow-undetermined            use values that the log does not determine
+@own
+"""
 
 
 def run(options: Namespace) -> int:

@@ -1,4 +1,10 @@
-"""`hallsym fit`: calibrate a model on a log."""
+"""`hallsym fit`: calibrate a model on a log.
+
+Calibrate a model on a log of Hall readings beside a reference. Prints errors before and after,
+parameters with standard uncertainties in parentheses (on the last two digits), and what the data
+determine in place of parameters that are confusable. Where the model does not describe the log,
+the report begins with that, and the exit code is 3; the calibration is written all the same.
+"""
 
 import shlex
 from argparse import Namespace
@@ -7,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.cli import INTERRUPTED, NOT_CONVERGED, NOT_DESCRIBED, NOT_DETERMINED, OK, common
-from hallsym.cli.parser import add_options
 from hallsym.errors import InputError, counted
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.fit import fit
@@ -22,49 +27,40 @@ from hallsym.model import Model
 from hallsym.report.results.shared import few
 from hallsym.report.views import content
 
-
-def add(sub: Any) -> None:
-    """Add the command to the parser."""
-    parser = common.command(
-        sub, "fit", run,
-        "Calibrate a model on a log of Hall readings beside a reference. Prints errors before and after,\n"
-        "parameters with standard uncertainties in parentheses (on the last two digits), and what the data\n"
-        "determine in place of parameters that are confusable. Where the model does not describe the log,\n"
-        "the report begins with that, and the exit code is 3; the calibration is written all the same.",
-        "examples:\n"
-        "  hallsym fit campaign.parquet -o calib.json --plots pictures\n"
-        "  hallsym fit log.csv --column hall_a_um=HallA --column x_ref_um=IFM_X ... --holdout 2,7,12\n"
-        "  hallsym fit log.mat --machine mystage.toml --json > calib.json\n"
-        "  hallsym fit campaign.parquet --effect hysteresis    what 'hallsym diagnose' found\n"
-        "  hallsym fit before.csv after.csv --per-log 'eta_*'  one device, gains before and after a repair\n"
-        "  hallsym fit ring.csv --model rings3 --reference none  three Halls over a ring and nothing "
-        "beside them",
-    )  # fmt: skip
-    add_options(parser, """
-        logs LOG <several>              Parquet, CSV, MATLAB or HDF5 file, or a folder with log and
-            meta.json; several logs of one device share their parameters
-        -o, --output JSON               save the calibration""")  # fmt: skip
-    common.plots_options(parser)
-    common.model_options(parser, "the log's base_model, else by its columns")
-    common.own_option(parser)
-    group = parser.add_argument_group("fit")
-    add_options(group, f"""
-        --reference REFERENCE <{"|".join(REFERENCES)}>  encoders of several Halls whose log has no
-            reference: what is known of the motion instead
-        --holdout RUNS                  runs to judge on and not to fit, such as 2,7,12 or 40-45
-        --holdout-log LOG <repeat>      a log to judge on and not to fit (repeat)
-        --per-log NAMES                 parameters of which each log has its own, such as eta_A,zero or
-            'eta_*'
-        --solver SOLVER <=hybrid>       hybrid (SHTLBO + closed form), direct (closed form), or the global
-            search: shtlbo, tlbo, gbtlbo, screening
-        --loss LOSS <=auto>             auto (take out isolated spikes if there are any), none, reject,
-            tukey
-        --correct TEXT <repeat>         undo a mistake of the recording, as a claim states it: 'sign
-            x_ref_m' (repeat)
-        --accept CLAIM <repeat>         a claim that is none here, by name, such as delay; all accepts every
-            one (repeat)
-        --seed SEED <seed=0>            of the global search (default 0)""")  # fmt: skip
-    common.log_options(parser)
+EPILOG = """\
+examples:
+  hallsym fit campaign.parquet -o calib.json --plots pictures
+  hallsym fit log.csv --column hall_a_um=HallA --column x_ref_um=IFM_X ... --holdout 2,7,12
+  hallsym fit log.mat --machine mystage.toml --json > calib.json
+  hallsym fit campaign.parquet --effect hysteresis    what 'hallsym diagnose' found
+  hallsym fit before.csv after.csv --per-log 'eta_*'  one device, gains before and after a repair
+  hallsym fit ring.csv --model rings3 --reference none  three Halls over a ring and nothing beside them
+"""
+OPTIONS = f"""
+logs LOG <several>              Parquet, CSV, MATLAB or HDF5 file, or a folder with log and
+    meta.json; several logs of one device share their parameters
+-o, --output JSON               save the calibration
+@plots save pictures
+@model the log's base_model, else by its columns
+@own
+[fit]
+--reference REFERENCE <{"|".join(REFERENCES)}>  encoders of several Halls whose log has no
+    reference: what is known of the motion instead
+--holdout RUNS                  runs to judge on and not to fit, such as 2,7,12 or 40-45
+--holdout-log LOG <repeat>      a log to judge on and not to fit (repeat)
+--per-log NAMES                 parameters of which each log has its own, such as eta_A,zero or
+    'eta_*'
+--solver SOLVER <=hybrid>       hybrid (SHTLBO + closed form), direct (closed form), or the global
+    search: shtlbo, tlbo, gbtlbo, screening
+--loss LOSS <=auto>             auto (take out isolated spikes if there are any), none, reject,
+    tukey
+--correct TEXT <repeat>         undo a mistake of the recording, as a claim states it: 'sign
+    x_ref_m' (repeat)
+--accept CLAIM <repeat>         a claim that is none here, by name, such as delay; all accepts every
+    one (repeat)
+--seed SEED <seed=0>            of the global search (default 0)
+@log
+"""
 
 
 def run(options: Namespace) -> int:

@@ -1,13 +1,18 @@
-"""`hallsym fleet`: calibrate many devices."""
+"""`hallsym fleet`: calibrate many devices.
+
+Calibrate every device of a fleet, as many at once as there are cores, and write one row a device:
+parameters, uncertainties, verdict, and the reason where a log could not be fitted. A fleet that
+was stopped goes on where it was when the same command is given again. Prints how parameters
+spread between devices beyond the uncertainty of a fit, and which devices differ. The exit code is
+3 where a device is not good.
+"""
 
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from hallsym.cli import NOT_DESCRIBED, OK
-from hallsym.cli.common import command, log_options, model_options, progress_of, reading_of, say
-from hallsym.cli.parser import add_options
+from hallsym.cli.common import progress_of, reading_of, say
 from hallsym.errors import InputError, require
 from hallsym.estimation.self_calibration import REFERENCES
 from hallsym.families.machine_file import read_machine
@@ -19,38 +24,29 @@ from hallsym.report.results.fleet import fleet_content
 from hallsym.report.results.self_calibration import ring_fleet_content
 from hallsym.report.views import page_of
 
-
-def add(sub: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(
-        sub, "fleet", run,
-        "Calibrate every device of a fleet, as many at once as there are cores, and write one row a device:\n"
-        "parameters, uncertainties, verdict, and the reason where a log could not be fitted. A fleet that\n"
-        "was stopped goes on where it was when the same command is given again. Prints how parameters\n"
-        "spread between devices beyond the uncertainty of a fit, and which devices differ. The exit code is\n"
-        "3 where a device is not good.",
-        "examples:\n"
-        "  hallsym fleet logs/ --model rotary -o fleet.parquet\n"
-        "  hallsym fleet logs/*.parquet -o fleet.parquet --page fleet.html --next-machine next.toml\n"
-        "  hallsym fleet devices.csv --diagnose -o fleet.parquet    a table: log,device,supplier\n"
-        "  hallsym fleet logs/ -o fleet.parquet --scheduler tcp://host:8786",
-    )  # fmt: skip
-    add_options(parser, """
-        logs LOGS <several>             a folder of logs, logs, or a table with columns log, device, ...
-        -o, --output TABLE              the table: .parquet or .csv
-        --page HTML                     write a page with distributions
-        --next-machine TOML             write nominal values and bounds for the next batch
-        --tolerances TOML               write the spread for 'hallsym tolerances --ranges'""")  # fmt: skip
-    model_options(parser, "the logs' base_model, else by their columns")
-    group = parser.add_argument_group("fleet")
-    add_options(group, f"""
-        --diagnose                      diagnose each log too; takes seconds a device
-        --workers N <int>               processes that fit devices (default: one a core)
-        --reference REFERENCE <{"|".join(REFERENCES)}>  rings of one jig whose logs have no reference: what
-            is known of the motion instead; heads and drive are taken as common to all
-        --each-run                      with --reference: each run of a log is a device
-        --scheduler ADDRESS             Dask scheduler to use instead: tcp://host:8786""")  # fmt: skip
-    log_options(parser)
+EPILOG = """\
+examples:
+  hallsym fleet logs/ --model rotary -o fleet.parquet
+  hallsym fleet logs/*.parquet -o fleet.parquet --page fleet.html --next-machine next.toml
+  hallsym fleet devices.csv --diagnose -o fleet.parquet    a table: log,device,supplier
+  hallsym fleet logs/ -o fleet.parquet --scheduler tcp://host:8786
+"""
+OPTIONS = f"""
+logs LOGS <several>             a folder of logs, logs, or a table with columns log, device, ...
+-o, --output TABLE              the table: .parquet or .csv
+--page HTML                     write a page with distributions
+--next-machine TOML             write nominal values and bounds for the next batch
+--tolerances TOML               write the spread for 'hallsym tolerances --ranges'
+@model the logs' base_model, else by their columns
+[fleet]
+--diagnose                      diagnose each log too; takes seconds a device
+--workers N <int>               processes that fit devices (default: one a core)
+--reference REFERENCE <{"|".join(REFERENCES)}>  rings of one jig whose logs have no reference: what
+    is known of the motion instead; heads and drive are taken as common to all
+--each-run                      with --reference: each run of a log is a device
+--scheduler ADDRESS             Dask scheduler to use instead: tcp://host:8786
+@log
+"""
 
 
 def run(options: Namespace) -> int:

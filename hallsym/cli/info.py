@@ -1,4 +1,18 @@
-"""`hallsym info`: the content of a file, or the models, effects and solvers of hallsym."""
+"""`hallsym info`: the content of a file, or the models, effects and solvers of hallsym.
+
+Describe a log (columns, runs, motion, noise, what is wrong with it), a saved calibration, a
+saved curve or a campaign file. A model by name: its links, parameters, offsets and possible
+effects. An effect by name: what it means, its numbers, the parameters it adds, what recording
+separates it from others. corrections: what --correct of fit takes. Without an argument: the
+models, effects and solvers there are.
+
+examples:
+  hallsym info campaign.parquet
+  hallsym info stage31
+  hallsym info hysteresis
+  hallsym info lab.csv --write columns.toml
+  hallsym info 'runs/*.csv' --write columns.toml
+"""
 
 import shlex
 from argparse import Namespace
@@ -11,15 +25,12 @@ from typing import Any
 from hallsym.cli import OK
 from hallsym.cli.common import (
     FILE_OPTIONS,
-    command,
     layout_notes,
-    log_options,
     open_log,
     reading_words,
     runs_in_files,
     say,
 )
-from hallsym.cli.parser import add_options
 from hallsym.cli.trajectory import about_curve
 from hallsym.errors import InputError, counted
 from hallsym.estimation import LOSSES, SOLVERS
@@ -50,29 +61,18 @@ from hallsym.units import readable, si_name
 COLUMN_FILE = "columns.toml"
 
 
-def add(sub: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(
-        sub, "info", run,
-        "Describe a log (columns, runs, motion, noise, what is wrong with it), a saved calibration, a\n"
-        "saved curve or a campaign file. A model by name: its links, parameters, offsets and possible\n"
-        "effects. An effect by name: what it means, its numbers, the parameters it adds, what recording\n"
-        "separates it from others. corrections: what --correct of fit takes. Without an argument: the\n"
-        "models, effects and solvers there are.\n\n"
-        "examples:\n  hallsym info campaign.parquet\n  hallsym info stage31\n  hallsym info hysteresis\n"
-        "  hallsym info lab.csv --write columns.toml\n  hallsym info 'runs/*.csv' --write columns.toml",
-        "endings of logs, by --format:\n"
-        + "\n".join(f"  {entry.name:9}{' '.join(entry.suffixes)}" for entry in FORMATS),
-    )  # fmt: skip
-    add_options(parser, f"""
-        files FILE_OR_NAME <any>        log, calibration or curve (.json), campaign (.toml), or the name of
-            a model or an effect; several files are one log: runs where they have the same columns, else
-            joined by their times
-        --write TOML <optional, alone={COLUMN_FILE}>  of a log whose columns have other names: write a
-            column file with the best guess for each, to be checked (default {COLUMN_FILE})
-        --model MODEL                   what --write is for, such as stage31 (default: by the names)
-    """)  # fmt: skip
-    log_options(parser, explained=True)
+EPILOG = "endings of logs, by --format:\n" + "\n".join(
+    f"  {entry.name:9}{' '.join(entry.suffixes)}" for entry in FORMATS
+)
+OPTIONS = f"""
+files FILE_OR_NAME <any>        log, calibration or curve (.json), campaign (.toml), or the name of
+    a model or an effect; several files are one log: runs where they have the same columns, else
+    joined by their times
+--write TOML <optional, alone={COLUMN_FILE}>  of a log whose columns have other names: write a
+    column file with the best guess for each, to be checked (default {COLUMN_FILE})
+--model MODEL                   what --write is for, such as stage31 (default: by the names)
+@log explained
+"""
 
 
 def run(options: Namespace) -> int:
@@ -185,7 +185,7 @@ def _write(options: Namespace) -> int:
     options.column_file = options.write
     stated = options.model or (found.recognised and not found.by_columns)
     chosen = ["--model", found.model.name] if stated else []
-    command = ["hallsym", "fit", options.file, *chosen, *reading_words(options)]
+    following = ["hallsym", "fit", options.file, *chosen, *reading_words(options)]
     check = f"Check {options.write}"
     if found.open:
         open = ", ".join(found.open)
@@ -206,7 +206,7 @@ def _write(options: Namespace) -> int:
         lambda: Content(answer, answer, first=blocks),
         notes=notes,
         wrote=[options.write],
-        then=command,
+        then=following,
     )
     return OK
 

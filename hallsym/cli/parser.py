@@ -3,7 +3,6 @@
 import argparse
 import re
 import sys
-import textwrap
 from argparse import Action, ArgumentParser, Namespace
 from collections.abc import Sequence
 from importlib import import_module
@@ -42,30 +41,86 @@ def parser_of(commands: Sequence[str]) -> ArgumentParser:
         epilog=EPILOG,
         formatter_class=HelpText,
     )
-    add_options(parser, """
-        --version                       print the version and exit""")  # fmt: skip
+    add_options(parser, "--version  print the version and exit")
     sub = parser.add_subparsers(dest="command", metavar="COMMAND", prog="hallsym", help=argparse.SUPPRESS)
     for name, what in COMMANDS.items():
-        if name in commands:
-            import_module(f"hallsym.cli.{name}").add(sub)
-        else:
+        if name not in commands:
             sub.add_parser(name, help=what)
+            continue
+        module = import_module(f"hallsym.cli.{name}")
+        said = {"description": module.__doc__.partition("\n\n")[2], "epilog": getattr(module, "EPILOG", "")}
+        own = sub.add_parser(name, help=what, formatter_class=HelpText, **said)
+        own.set_defaults(run=module.run)
+        add_options(own, f"--json  print one JSON object instead of tables{module.OPTIONS}")
     return parser
 
 
 _OPTION = re.compile(r"((?:-\w, )?[\w-]+)(?: ([^\s<]+))?(?: <([^>]*)>)?(?:  +(.*))?")
+_READING = """\
+[reading the file]
+--column OURS=THEIRS <repeat>   our name, ending with the unit their column is in, such as
+    hall_a_um=HallA (repeat); of an angle in counts also those of a turn:
+    angle_count=raw,counts_per_turn=16384
+--format FORMAT                 csv, parquet and others that are listed below; by the ending if not given
+--delimiter DELIMITER           of a text file: ';', tab, blank; recognised where it is not given
+--decimal SIGN                  of its numbers: . or , where both would be possible
+--sheet SHEET                   of a workbook or a database that has several
+"""
+SHARED = {
+    "plots": """
+--plots FOLDER                  {}
+--plot-format PLOT_FORMAT <=png, png|pdf|svg>  of each picture (default: png)
+""",
+    "model": """
+[model]
+--model MODEL                   such as stage31 or rotary; 'hallsym info' lists them (default: {})
+--effect EFFECT <repeat>        add an effect, such as exact_rotation or mains_hum:frequency_hz=50.02
+    (repeat)
+--machine TOML                  your machine: [[probes]] with channel, position_m, senses;
+    [parameters.H1x] with nominal, lower, upper, fixed
+""",
+    "own": """
+--effects PY                    your own effects: a file that defines EFFECTS
+""",
+    "table": _READING,
+    "log": _READING
+    + """\
+--column-file TOML              the same as a file: [columns] hall_a_um = "HallA"
+--join FILE <repeat>            another file of the same log (repeat): more runs where it has the same
+    columns, else columns that are read at the times of the slower file
+--clock GROUP:HOW               of several files, or of groups of one (TDMS, MDF, MCAP, HDF5), with clocks
+    of their own: whose samples become the rows, and how others are read there: Hall:linear or
+    Hall:nearest
+--drop-bad                      leave out bad samples and runs and go on; they are counted
+--noise COLUMN=SIGMA <repeat>   1 sigma in SI: --noise hall_m=5e-7 (repeat); estimated from the log where
+    not given
+""",
+}
+"""Options of several commands; those that say how a file is read are explained by 'hallsym info --help'."""
 
 
 def add_options(parser: Any, table: str, *, hidden: bool = False) -> None:
     """Add options from a table: a line each with names, METAVAR, `<how>` where that is to be said, and help.
 
-    A line that is indented further goes on with the one before. Without a METAVAR an option is a switch.
+    A line that is indented goes on with the one before. Without a METAVAR an option is a switch.
     `how`, with commas: `int`, `float` or `seed`; `=default`; `required`; `repeat` (a list); `optional`,
     `several` or `any` number of words; `alone=value` of an optional one without a word; choices as `a|b`.
+    `[title]` begins a group, `[]` ends it; `@name words` stands for a table of `SHARED` with its words.
     `hidden`: from the help page.
     """
-    for text in re.sub(r"\n {2,}(?=\S)", " ", textwrap.dedent(table)).strip().split("\n"):
-        found = _OPTION.fullmatch(text.strip())
+    group = parser
+    for text in re.sub(r"\n +", " ", table).strip().split("\n"):
+        if text.startswith("["):
+            named = ", ".join(re.findall(r"^(--[\w-]+)", table, re.M))
+            said = f"{named}: see 'hallsym info --help'" if hidden else None
+            group = parser.add_argument_group(text[1:-1], said) if text != "[]" else parser
+            continue
+        if text.startswith("@"):
+            name, _, said = text[1:].partition(" ")
+            unexplained = name in ("table", "log") and said != "explained"
+            add_options(parser, SHARED[name].format(said), hidden=unexplained)
+            continue
+        found = _OPTION.fullmatch(text)
         if found is None:
             raise ValueError(f"not a line of options: {text!r}")
         names, metavar, how, said = found.groups()
@@ -78,7 +133,7 @@ def add_options(parser: Any, table: str, *, hidden: bool = False) -> None:
             if word in _COUNTS:
                 made["nargs"] = _COUNTS[word]
             elif kind == "alone":
-                made |= {"nargs": "?", "const": made.get("type", str)(value)}
+                made |= {"nargs": "?", "const": made.get("type", str)(value) if value else False}
             elif "=" in word:
                 made["default"] = made.get("type", str)(value)
             elif word == "repeat":
@@ -89,7 +144,7 @@ def add_options(parser: Any, table: str, *, hidden: bool = False) -> None:
                 made |= {"choices": word.split("|"), "metavar": None}
         if names.startswith("-") and metavar is None:
             made = {"help": said, "action": "store_true"}
-        parser.add_argument(*names.split(", "), **made)
+        group.add_argument(*names.split(", "), **made)
 
 
 def seed(text: str) -> int:

@@ -1,10 +1,13 @@
-"""`hallsym plan`: what to record next."""
+"""`hallsym plan`: what to record next.
+
+Choose vertical settings and trajectories with most information about parameters, from the ranges,
+frequencies and time that you state, and write them as a campaign file that a lab can follow and
+'hallsym simulate' runs.
+"""
 
 from argparse import Namespace
-from typing import Any
 
 from hallsym.cli import OK, common
-from hallsym.cli.parser import add_options
 from hallsym.errors import InputError, require
 from hallsym.estimation import fit, load_fit
 from hallsym.estimation.self_calibration import REFERENCES, seen, waves_of
@@ -22,43 +25,35 @@ from hallsym.report.results.self_calibration import turns_content
 from hallsym.simulation import is_the_papers, table8_noise, write_campaign
 from hallsym.units import read_quantity
 
-
-def add(sub: Any) -> None:
-    """Add the command to the parser."""
-    parser = common.command(
-        sub, "plan", run,
-        "Choose vertical settings and trajectories with most information about parameters, from the ranges,\n"
-        "frequencies and time that you state, and write them as a campaign file that a lab can follow and\n"
-        "'hallsym simulate' runs.",
-        "examples:\n"
-        "  hallsym plan ranges.toml -o next.toml --runs 20\n"
-        "  hallsym plan ranges.toml -o next.toml --minutes 30 --criterion max-u --values calib.json\n"
-        "  hallsym plan ranges.toml -o next.toml --runs 10 --after log.parquet --plots pictures\n"
-        "  hallsym plan --like-paper -o next.toml\n"
-        "  hallsym plan --reference constant-speed --model rings3 --machine ring.toml   open waves of "
-        "its Halls\n"
-        "  hallsym plan --reference constant-speed --after ring.csv --accuracy 0.01deg   and turns to record",
-    )  # fmt: skip
-    add_options(parser, """
-        ranges TOML <optional>          ranges file (docs/plan.md)
-        --like-paper                    the ranges of the paper's campaign instead of a file: 57 runs of 1
-            s, 1, 2 and 3 Hz
-        -o, --output TOML               campaign file to write""")  # fmt: skip
-    common.plots_options(parser)
-    add_options(parser, f"""
-        --criterion NAME <=D>           {", ".join(CRITERIA)}: volume of the uncertainty ellipsoid, mean
-            variance, worst-determined combination, worst position uncertainty over the ranges (default D)
-        --runs N <int>                  at most so many runs
-        --minutes M <float>             at most so long, with resets
-        --after LOG                     a log that is recorded already: the plan adds what it lacks
-        --values JSON                   calibration to plan for (default: fitted to the log of --after, else
-            the published or example values)
-        --reference REFERENCE <{"|".join(REFERENCES)}>  an encoder of several Halls without a reference:
-            list the waves that its Halls leave open, and the turns for an accuracy
-        --accuracy ANGLE                of such a table, rms of the mechanical angle: 0.01deg
-        --seed SEED <seed=0>            of the order of exchanges (default 0)""")  # fmt: skip
-    common.model_options(parser, "stage31")
-    common.log_options(parser)
+EPILOG = """\
+examples:
+  hallsym plan ranges.toml -o next.toml --runs 20
+  hallsym plan ranges.toml -o next.toml --minutes 30 --criterion max-u --values calib.json
+  hallsym plan ranges.toml -o next.toml --runs 10 --after log.parquet --plots pictures
+  hallsym plan --like-paper -o next.toml
+  hallsym plan --reference constant-speed --model rings3 --machine ring.toml   open waves of its Halls
+  hallsym plan --reference constant-speed --after ring.csv --accuracy 0.01deg   and turns to record
+"""
+OPTIONS = f"""
+ranges TOML <optional>          ranges file (docs/plan.md)
+--like-paper                    the ranges of the paper's campaign instead of a file: 57 runs of 1
+    s, 1, 2 and 3 Hz
+-o, --output TOML               campaign file to write
+@plots save pictures
+--criterion NAME <=D>           {", ".join(CRITERIA)}: volume of the uncertainty ellipsoid, mean
+    variance, worst-determined combination, worst position uncertainty over the ranges (default D)
+--runs N <int>                  at most so many runs
+--minutes M <float>             at most so long, with resets
+--after LOG                     a log that is recorded already: the plan adds what it lacks
+--values JSON                   calibration to plan for (default: fitted to the log of --after, else
+    the published or example values)
+--reference REFERENCE <{"|".join(REFERENCES)}>  an encoder of several Halls without a reference:
+    list the waves that its Halls leave open, and the turns for an accuracy
+--accuracy ANGLE                of such a table, rms of the mechanical angle: 0.01deg
+--seed SEED <seed=0>            of the order of exchanges (default 0)
+@model stage31
+@log
+"""
 
 
 def run(options: Namespace) -> int:

@@ -1,13 +1,16 @@
-"""`hallsym report`: one self-contained HTML page of a fit."""
+"""`hallsym report`: one self-contained HTML page of a fit.
+
+Write one self-contained HTML page of a calibration and a log: verdict, errors against the noise
+floor, maps of the error, series to zoom, parameters. It opens from disk without a network.
+The log is the one that was fitted, or another one of the same machine.
+"""
 
 import shlex
 from argparse import Namespace
 from dataclasses import replace
-from typing import Any
 
 from hallsym.cli import OK
-from hallsym.cli.common import command, log_options, open_log, own_effects, own_option, reading_words, say
-from hallsym.cli.parser import add_options
+from hallsym.cli.common import open_log, own_effects, reading_words, say
 from hallsym.estimation import load_fit
 from hallsym.estimation.decoding import logged_columns
 from hallsym.families.recording import as_read
@@ -17,23 +20,17 @@ from hallsym.log.phase import at_rest
 from hallsym.report.content import document
 from hallsym.report.results.fit import page_content
 
-
-def add(sub: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(
-        sub, "report", run,
-        "Write one self-contained HTML page of a calibration and a log: verdict, errors against the noise\n"
-        "floor, maps of the error, series to zoom, parameters. It opens from disk without a network.\n"
-        "The log is the one that was fitted, or another one of the same machine.",
-        "example:\n  hallsym report calib.json campaign.parquet -o report.html",
-    )  # fmt: skip
-    add_options(parser, """
-        calibration CALIB               a calibration saved by 'hallsym fit -o'
-        log LOG                         the log that was fitted, or another one""")  # fmt: skip
-    own_option(parser)
-    add_options(parser, """
-        -o, --output HTML <=report.html>  default: report.html""")  # fmt: skip
-    log_options(parser)
+EPILOG = """\
+example:
+  hallsym report calib.json campaign.parquet -o report.html
+"""
+OPTIONS = """
+calibration CALIB               a calibration saved by 'hallsym fit -o'
+log LOG                         the log that was fitted, or another one
+@own
+-o, --output HTML <=report.html>  default: report.html
+@log
+"""
 
 
 def run(options: Namespace) -> int:

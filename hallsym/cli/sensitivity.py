@@ -1,12 +1,16 @@
-"""`hallsym sensitivity`: what a log, or a plan, determines of each parameter."""
+"""`hallsym sensitivity`: what a log, or a plan, determines of each parameter.
+
+State for each parameter: value, standard uncertainty, 95 % interval, strongest correlations,
+effect on the decoded pose, and a verdict: determined, weak, at bound, not determined (and which
+combinations are), no effect. Null directions are listed, structural ones and those of this
+recording. With --plan: the same before any recording.
+"""
 
 from argparse import Namespace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from hallsym.cli import NOT_DETERMINED, OK, common
-from hallsym.cli.parser import add_options
 from hallsym.errors import InputError
 from hallsym.estimation import load_fit
 from hallsym.families import build
@@ -21,37 +25,25 @@ from hallsym.simulation import campaign_from, paper_campaign, read_campaign
 PAPER = "the paper's campaign"
 
 
-def add(sub: Any) -> None:
-    """Add the command to the parser."""
-    parser = common.command(
-        sub, "sensitivity", run,
-        "State for each parameter: value, standard uncertainty, 95 % interval, strongest correlations,\n"
-        "effect on the decoded pose, and a verdict: determined, weak, at bound, not determined (and which\n"
-        "combinations are), no effect. Null directions are listed, structural ones and those of this\n"
-        "recording. With --plan: the same before any recording.",
-        "examples:\n"
-        "  hallsym sensitivity calib.json LOG --plots pictures\n"
-        "  hallsym sensitivity --model stage31 --plan                  the paper's campaign, before data\n"
-        "  hallsym sensitivity calib.json --plan next.toml             what a plan would tell of the machine",
-    )  # fmt: skip
-    add_options(parser, """
-        calibration CALIB <optional>    saved by 'hallsym fit -o'
-        log LOG <optional>              the log it was fitted to, or another one""")  # fmt: skip
-    parser.add_argument(
-        "--plan", metavar="TOML", nargs="?", const=False,
-        help="a campaign file instead of a log (no file: Table 6)",
-    )  # fmt: skip
-    common.own_option(parser)
-    add_options(parser, """
-        -o, --output JSON               save the report""")  # fmt: skip
-    common.plots_options(parser)
-    group = parser.add_argument_group("intervals")
-    add_options(group, """
-        --profiles PROFILES <=auto, auto|all|none>  profile likelihood where a normal interval is not good
-            enough (default), of all, or of none""")  # fmt: skip
-    parser.set_defaults(values=None)
-    common.model_options(parser, "the calibration's, or stage31")
-    common.log_options(parser)
+EPILOG = """\
+examples:
+  hallsym sensitivity calib.json LOG --plots pictures
+  hallsym sensitivity --model stage31 --plan                  the paper's campaign, before data
+  hallsym sensitivity calib.json --plan next.toml             what a plan would tell of the machine
+"""
+OPTIONS = """
+calibration CALIB <optional>    saved by 'hallsym fit -o'
+log LOG <optional>              the log it was fitted to, or another one
+--plan TOML <alone>             a campaign file instead of a log (no file: Table 6)
+@own
+-o, --output JSON               save the report
+@plots save pictures
+[intervals]
+--profiles PROFILES <=auto, auto|all|none>  profile likelihood where a normal interval is not good
+    enough (default), of all, or of none
+@model the calibration's, or stage31
+@log
+"""
 
 
 def run(options: Namespace) -> int:

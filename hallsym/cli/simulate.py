@@ -1,36 +1,30 @@
-"""`hallsym simulate`: the log a known machine would record."""
+"""`hallsym simulate`: the log a known machine would record.
+
+Simulate a campaign of a machine with known parameters: the paper's by default (Table 6 settings,
+sines at 1 Hz, 2 ms clock, Table A1 deviations, noise that reproduces Table 8), or any from TOML.
+"""
 
 from argparse import Namespace
-from typing import Any
 
 from hallsym.cli import OK
-from hallsym.cli.common import campaign_of, command, levels, model_options, progress_of, say, truth_of
-from hallsym.cli.parser import add_options
+from hallsym.cli.common import campaign_of, levels, progress_of, say, truth_of
 from hallsym.families.machine_file import read_machine
 from hallsym.log import LogWriter
 from hallsym.output import Step
 from hallsym.simulation import NoiseModel, simulate_blocks
 
-
-def add(sub: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(
-        sub, "simulate", run,
-        "Simulate a campaign of a machine with known parameters: the paper's by default (Table 6 settings,\n"
-        "sines at 1 Hz, 2 ms clock, Table A1 deviations, noise that reproduces Table 8), or any from TOML.",
-    )  # fmt: skip
-    add_options(parser, """
-        campaign TOML <optional>        campaign file (default: the paper's campaign, or the example of the
-            model's family)
-        -o, --output LOG <required>     log to write: .parquet or .csv
-        --seed SEED <seed, required>    of noise and random zero deviations
-        --values JSON                   calibration whose values are the truth (default: published or
-            example values)
-        --noise-scale NOISE_SCALE <float=1.0>  factor on every noise level; 0 for a noise-free log
-        --step S <float>                clock of the paper's campaign [s] (default 0.002)
-        --duration S <float>            length of each run of the paper's campaign [s] (default 1)
-    """)  # fmt: skip
-    model_options(parser, "that of the axes moved, else stage31")
+OPTIONS = """
+campaign TOML <optional>        campaign file (default: the paper's campaign, or the example of the
+    model's family)
+-o, --output LOG <required>     log to write: .parquet or .csv
+--seed SEED <seed, required>    of noise and random zero deviations
+--values JSON                   calibration whose values are the truth (default: published or
+    example values)
+--noise-scale NOISE_SCALE <float=1.0>  factor on every noise level; 0 for a noise-free log
+--step S <float>                clock of the paper's campaign [s] (default 0.002)
+--duration S <float>            length of each run of the paper's campaign [s] (default 1)
+@model that of the axes moved, else stage31
+"""
 
 
 def run(options: Namespace) -> int:

@@ -1,12 +1,15 @@
-"""`hallsym sort`: sensors by gain, in bins and in sets for arrays."""
+"""`hallsym sort`: sensors by gain, in bins and in sets for arrays.
 
-from argparse import ArgumentParser, Namespace
+Sort sensors by gain, from the readings of each in two or more known fields: gain with uncertainty,
+its bin and the probability of the wrong one, and the repeatability. With --model, choose the sets
+of sensors whose gains disturb the decoded position least.
+"""
+
+from argparse import Namespace
 from pathlib import Path
-from typing import Any
 
 from hallsym.cli import OK
-from hallsym.cli.common import FILE_OPTIONS, built, command, model_options, progress_of, say, table_options
-from hallsym.cli.parser import add_options
+from hallsym.cli.common import FILE_OPTIONS, built, progress_of, say
 from hallsym.errors import InputError, require
 from hallsym.estimation import load_fit
 from hallsym.families import build
@@ -18,43 +21,33 @@ from hallsym.sorting import WIDTH, Matching, Sorting, match_sensors, read_readin
 from hallsym.sorting.readings import SENSOR
 from hallsym.units import with_unit
 
+EPILOG = """\
+examples:
+  hallsym sort bench.csv -o sorted.csv
+  hallsym sort bench.csv --field 0mT,475mT --column reading_0_v=Zero --column reading_1_v=Field
+  hallsym sort bench.csv --model halbach --sets 12 -o sets.csv
 
-def add(sub: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(
-        sub,
-        "sort",
-        run,
-        "Sort sensors by gain, from the readings of each in two or more known fields: gain with uncertainty,"
-        " its bin\nand the probability of the wrong one, and the repeatability. With --model, choose the sets"
-        " of sensors whose\ngains disturb the decoded position least.",
-        "examples:\n  hallsym sort bench.csv -o sorted.csv\n  hallsym sort bench.csv"
-        " --field 0mT,475mT --column reading_0_v=Zero --column reading_1_v=Field\n  hallsym sort bench.csv"
-        " --model halbach --sets 12 -o sets.csv\n\na table, one row a reading (or one row a measurement:"
-        " field_0_t, reading_0_v, reference_0_v, field_1_t, ...):\n "
-        " sensor,t_s,field_mt,reading_v,reference_v\n  R1-0001,0,0,0.0021,0.0010\n "
-        " R1-0001,9,475,0.9513,0.8817",
-    )
-    add_options(parser, f"""
-        table FILE                      readings of the sensors: csv, parquet, hdf5 or mat
-        --bin PERCENT <float={100 * WIDTH}>  width of a bin (default .5 %% of the gain)
-        --nominal GAIN <float>          middle of bin 0 (default: the median gain)
-        --repeatability PERCENT <float>  of one measurement (1 sigma); found from sensors that were measured
-            again where not given
-        --field LIST                    fields of reading_0, reading_1, ..., such as 0mT,475mT, where the
-            table has none
-        -o, --output FILE               csv: a row a sensor; json: everything""")  # fmt: skip
-    table_options(parser)
-    _matching_options(parser)
-
-
-def _matching_options(parser: ArgumentParser) -> None:
-    model_options(parser, "none: no sets are chosen")
-    group = parser.add_argument_group("sets for arrays, with --model")
-    add_options(group, """
-        --sets N <int>                  how many (default: as many as there are sensors for)
-        --per-channel N <int=1>         sensors summed into each channel (default 1)
-        --values JSON                   calibration of the array (default: nominal values)""")  # fmt: skip
+a table, one row a reading (or one row a measurement: field_0_t, reading_0_v, reference_0_v, field_1_t, ...):
+  sensor,t_s,field_mt,reading_v,reference_v
+  R1-0001,0,0,0.0021,0.0010
+  R1-0001,9,475,0.9513,0.8817
+"""
+OPTIONS = f"""
+table FILE                      readings of the sensors: csv, parquet, hdf5 or mat
+--bin PERCENT <float={100 * WIDTH}>  width of a bin (default .5 %% of the gain)
+--nominal GAIN <float>          middle of bin 0 (default: the median gain)
+--repeatability PERCENT <float>  of one measurement (1 sigma); found from sensors that were measured
+    again where not given
+--field LIST                    fields of reading_0, reading_1, ..., such as 0mT,475mT, where the
+    table has none
+-o, --output FILE               csv: a row a sensor; json: everything
+@table
+@model none: no sets are chosen
+[sets for arrays, with --model]
+--sets N <int>                  how many (default: as many as there are sensors for)
+--per-channel N <int=1>         sensors summed into each channel (default 1)
+--values JSON                   calibration of the array (default: nominal values)
+"""
 
 
 def run(options: Namespace) -> int:

@@ -1,10 +1,14 @@
-"""`hallsym tolerances`: which tolerance of a machine to tighten, and errors by known deviations."""
+"""`hallsym tolerances`: which tolerance of a machine to tighten, and errors by known deviations.
+
+Draw machines with every parameter in its tolerance, read them with the nominal decoder, and say
+how much of the error each tolerance causes: decrease of the rms error if it is exact, Sobol
+indices with 95 % intervals. With --along, one machine with known deviations along a coordinate:
+the error by cause, each effect alone, then all together.
+"""
 
 from argparse import Namespace
-from typing import Any
 
 from hallsym.cli import OK, common
-from hallsym.cli.parser import add_options
 from hallsym.errors import InputError
 from hallsym.families.machine_file import read_machine
 from hallsym.model import Model
@@ -15,45 +19,36 @@ from hallsym.uncertainty import error_model
 from hallsym.uncertainty.ranges import read_tolerances, read_value
 from hallsym.uncertainty.tolerances import tolerances
 
+EPILOG = """\
+examples:
+  hallsym tolerances                                 Table 1 with the ranges of Table 3
+  hallsym tolerances --model halbach                 usual tolerances of sensors and boards
+  hallsym tolerances --ranges drawing.toml --machine mystage.toml
+  hallsym tolerances --along x_um=-500:500 --set theta_A_deg=0.1
+  hallsym tolerances --model halbach --along x_m --effect gain_mismatch --set gain_0_percent=1
 
-def add(sub: Any) -> None:
-    """Add the command to the parser."""
-    parser = common.command(
-        sub, "tolerances", run,
-        "Draw machines with every parameter in its tolerance, read them with the nominal decoder, and say\n"
-        "how much of the error each tolerance causes: decrease of the rms error if it is exact, Sobol\n"
-        "indices with 95 % intervals. With --along, one machine with known deviations along a coordinate:\n"
-        "the error by cause, each effect alone, then all together.",
-        "examples:\n"
-        "  hallsym tolerances                                 Table 1 with the ranges of Table 3\n"
-        "  hallsym tolerances --model halbach                 usual tolerances of sensors and boards\n"
-        "  hallsym tolerances --ranges drawing.toml --machine mystage.toml\n"
-        "  hallsym tolerances --along x_um=-500:500 --set theta_A_deg=0.1\n"
-        "  hallsym tolerances --model halbach --along x_m --effect gain_mismatch --set gain_0_percent=1\n"
-        "\n"
-        "a tolerance file:\n"
-        "  [tolerance]\n"
-        "  H1x_um = 20                                        rectangular, half width\n"
-        '  H1y_um = { half_width = 20, distribution = "triangular" }\n'
-        "  theta_A_deg = { std = 0.1 }                        normal\n"
-        "  eta_A_percent = 2                                  of the nominal value",
-    )  # fmt: skip
-    add_options(parser, """
-        campaign TOML <optional>        campaign over which errors count (default: the paper's campaign)
-        --ranges TOML                   tolerances; if not given, the usual ones of such machines with their
-            effects, else the model's bounds about the nominal values
-        --samples N <int=1024>          base samples, a power of two (default 1024)
-        --seed SEED <seed=0>            of the machines drawn (default 0)""")  # fmt: skip
-    common.plots_options(parser, "save a picture of the errors along a coordinate")
-    parser.set_defaults(step=None, duration=None)
-    group = parser.add_argument_group("known deviations")
-    add_options(group, """
-        --along COLUMN[=FROM:TO]        coordinate that moves: x_mm=0:30, or one that repeats, over a
-            period: x_m
-        --set NAME=VALUE <repeat>       value of a parameter of the machine, in SI or with a unit in the
-            name: --set gain_0_percent=1 (repeat); what decodes it has the nominal values
-        --at COLUMN=VALUE <repeat>      where another coordinate rests: z_mm=4.2 (repeat)""")  # fmt: skip
-    common.model_options(parser, DESIGNED)
+a tolerance file:
+  [tolerance]
+  H1x_um = 20                                        rectangular, half width
+  H1y_um = { half_width = 20, distribution = "triangular" }
+  theta_A_deg = { std = 0.1 }                        normal
+  eta_A_percent = 2                                  of the nominal value
+"""
+OPTIONS = f"""
+campaign TOML <optional>        campaign over which errors count (default: the paper's campaign)
+--ranges TOML                   tolerances; if not given, the usual ones of such machines with their
+    effects, else the model's bounds about the nominal values
+--samples N <int=1024>          base samples, a power of two (default 1024)
+--seed SEED <seed=0>            of the machines drawn (default 0)
+@plots save a picture of the errors along a coordinate
+[known deviations]
+--along COLUMN[=FROM:TO]        coordinate that moves: x_mm=0:30, or one that repeats, over a
+    period: x_m
+--set NAME=VALUE <repeat>       value of a parameter of the machine, in SI or with a unit in the
+    name: --set gain_0_percent=1 (repeat); what decodes it has the nominal values
+--at COLUMN=VALUE <repeat>      where another coordinate rests: z_mm=4.2 (repeat)
+@model {DESIGNED}
+"""
 
 
 def run(options: Namespace) -> int:

@@ -1,4 +1,10 @@
-"""`hallsym trajectory`: a curve for the machine to follow, within a tolerance."""
+"""`hallsym trajectory`: a curve for the machine to follow, within a tolerance.
+
+Make the curve that the machine follows: from points, or from the nominal curve as an expression.
+Tries every method (Bernstein and trigonometric curves of high relative accuracy, through points
+or by least squares, splines) and says which holds the tolerance with the fewest numbers. Errors
+are bounded between the points where the curve is an expression; else they are those at the points.
+"""
 
 from argparse import Namespace
 from collections.abc import Callable
@@ -8,8 +14,7 @@ from typing import Any
 
 from hallsym import trajectory
 from hallsym.cli import OK
-from hallsym.cli.common import command, progress_of, say
-from hallsym.cli.parser import add_options
+from hallsym.cli.common import progress_of, say
 from hallsym.errors import InputError
 from hallsym.files import atomic_write
 from hallsym.report.content import Content, Table
@@ -34,37 +39,23 @@ GCODE = (".ngc", ".nc", ".gcode")
 OUTPUTS = (".json", ".csv", *GCODE)
 
 
-def add(sub: Any) -> None:
-    """Add the command to the parser."""
-    parser = command(
-        sub, "trajectory", run,
-        "Make the curve that the machine follows: from points, or from the nominal curve as an expression.\n"
-        "Tries every method (Bernstein and trigonometric curves of high relative accuracy, through points\n"
-        "or by least squares, splines) and says which holds the tolerance with the fewest numbers. Errors\n"
-        "are bounded between the points where the curve is an expression; else they are those at the points.",
-        EPILOG,
-    )  # fmt: skip
-    add_options(parser, """
-        points_file POINTS <optional>   points (.csv), or a saved curve (.json)
-        --tolerance LENGTH              largest error of the curve, such as 0.05um""")  # fmt: skip
-    group = parser.add_argument_group("nominal curve")
-    add_options(group, """
-        --curve TEXT                    such as "x = r*cos(t); y = r*sin(t)", in m and rad
-        --range NAME=A:B                parameter and its range: t=0:2*pi
-        --value NAME=NUMBER <repeat>    a number of the curve: r=1mm (repeat)""")  # fmt: skip
-    group = parser.add_argument_group("method")
-    add_options(group, """
-        --points N <int>                points taken from --curve (default: the fewest)
-        --control N <int>               control points of a least-squares fit
-        --method NAME                   only this method of the table (of POINTS: cubic if not stated)
-    """)  # fmt: skip
-    group = parser.add_argument_group("output")
-    add_options(group, """
-        -o, --output FILE <repeat>      the curve as .json, .csv at a clock, or .ngc (G-code) (repeat)
-        --duration TIME                 that the path takes, such as 10s
-        --step TIME                     of a .csv: the clock, such as 1ms
-        --chord LENGTH                  of G-code: G1 blocks within this distance of the curve
-    """)  # fmt: skip
+OPTIONS = """
+points_file POINTS <optional>   points (.csv), or a saved curve (.json)
+--tolerance LENGTH              largest error of the curve, such as 0.05um
+[nominal curve]
+--curve TEXT                    such as "x = r*cos(t); y = r*sin(t)", in m and rad
+--range NAME=A:B                parameter and its range: t=0:2*pi
+--value NAME=NUMBER <repeat>    a number of the curve: r=1mm (repeat)
+[method]
+--points N <int>                points taken from --curve (default: the fewest)
+--control N <int>               control points of a least-squares fit
+--method NAME                   only this method of the table (of POINTS: cubic if not stated)
+[output]
+-o, --output FILE <repeat>      the curve as .json, .csv at a clock, or .ngc (G-code) (repeat)
+--duration TIME                 that the path takes, such as 10s
+--step TIME                     of a .csv: the clock, such as 1ms
+--chord LENGTH                  of G-code: G1 blocks within this distance of the curve
+"""
 
 
 def run(options: Namespace) -> int:
