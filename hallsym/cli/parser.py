@@ -48,8 +48,8 @@ def parser_of(commands: Sequence[str]) -> ArgumentParser:
             sub.add_parser(name, help=what)
             continue
         module = import_module(f"hallsym.cli.{name}")
-        said = {"description": module.__doc__.partition("\n\n")[2], "epilog": getattr(module, "EPILOG", "")}
-        own = sub.add_parser(name, help=what, formatter_class=HelpText, **said)
+        own = sub.add_parser(name, help=what, formatter_class=HelpText, epilog=getattr(module, "EPILOG", ""))
+        own.description = (module.__doc__ or "").partition("\n\n")[2]
         own.set_defaults(run=module.run)
         add_options(own, f"--json  print one JSON object instead of tables{module.OPTIONS}")
     return parser
