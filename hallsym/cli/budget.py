@@ -72,10 +72,8 @@ def run(options: Namespace) -> int:
 
 
 def _stand_alone(options: Namespace) -> int:
-    for name in ("log", "at", "settings", "diagnosis", "range", "noise", *LOG_OPTIONS):
-        if getattr(options, name):
-            what = "A LOG" if name == "log" else f"--{name.replace('_', '-')}"
-            raise InputError(f"{what} belongs to a calibration; {options.file} is a budget file.")
+    own = ("log", "at", "settings", "diagnosis", "range", "noise", *LOG_OPTIONS)
+    common.refuse(options, own, f"belongs to a calibration; {options.file} is a budget file")
     budget, shown = uncertainty.read_budget(options.file)
     machine, curve = budget, read_curve(options.curve) if options.curve else None
     if curve:
@@ -100,9 +98,8 @@ def _stand_alone(options: Namespace) -> int:
 
 def _position(options: Namespace) -> int:
     fit = _with_noise(load_fit(options.file), options.noise)
-    for name in LOG_OPTIONS:
-        if getattr(options, name) and not options.log:
-            raise InputError(f"--{name.replace('_', '-')} is about reading a LOG; give one.")
+    if not options.log:
+        common.refuse(options, LOG_OPTIONS, "is about reading a LOG; give one")
     settings = uncertainty.read_settings(options.settings, fit.model) if options.settings else Settings()
     if options.diagnosis:
         settings = replace(settings, model_error=uncertainty.read_model_error(options.diagnosis, fit.model))

@@ -6,9 +6,10 @@ with a parameter table that a recalibration replaces, a self-test and proofs.
 
 from argparse import Namespace
 from pathlib import Path
+from typing import Any
 
 from hallsym.cli import NOT_DETERMINED, OK
-from hallsym.cli.common import column_numbers, column_ranges, say
+from hallsym.cli.common import chosen, column_numbers, column_ranges, say
 from hallsym.codegen import Generated, generate
 from hallsym.codegen.folder import name_of
 from hallsym.codegen.generation import sha256
@@ -75,27 +76,19 @@ def run(options: Namespace) -> int:
 def _made(fit: Fit, options: Namespace) -> Generated:
     digest = sha256(Path(options.calibration).read_bytes())
     columns = (*fit.model.pose, *fit.model.state, *fit.model.channels)
-    ranges, allow = column_ranges(options.range, columns), options.allow_undetermined
     folder, accuracy = Path(options.output), None
     if options.accuracy is not None:
         example = "angle_mrad=1"
         accuracy = column_numbers(options.accuracy, fit.model.pose, "--accuracy", example)[1][0]
-    name = options.name or (name_of(folder) if options.params_only else PREFIX)
-    return generate(
-        fit,
-        arithmetic=options.arithmetic,
-        ranges=ranges,
-        double=options.double,
-        jacobian=options.jacobian,
-        accuracy=accuracy,
-        correction=options.correction,
-        allow_undetermined=allow,
-        calibration_sha256=digest,
-        name=name,
-        license=options.license,
-        observer=_observer(fit, options),
-        like=folder if options.params_only else None,
-    )
+    given: dict[str, Any] = chosen(options, generate) | {
+        "ranges": column_ranges(options.range, columns),
+        "accuracy": accuracy,
+        "calibration_sha256": digest,
+        "name": options.name or (name_of(folder) if options.params_only else PREFIX),
+        "observer": _observer(fit, options),
+        "like": folder if options.params_only else None,
+    }
+    return generate(fit, **given)
 
 
 def _observer(fit: Fit, options: Namespace) -> Observer | None:

@@ -7,6 +7,7 @@ import sys
 from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -168,6 +169,19 @@ def column_ranges(
         require(low < high, option, "from the lesser to the greater value", text)
         ranges[column] = low, high
     return ranges
+
+
+def chosen(options: Namespace, work: Callable[..., Any]) -> dict[str, Any]:
+    """Return the options that are named as keyword arguments of the function that does the work."""
+    named = (p.name for p in signature(work).parameters.values() if p.kind is p.KEYWORD_ONLY)
+    return {name: getattr(options, name) for name in named if hasattr(options, name)}
+
+
+def refuse(options: Namespace, names: Sequence[str], why: str) -> None:
+    """Refuse the first of some options that is given, in a sentence that goes on with `why`."""
+    for name in names:
+        if getattr(options, name) not in (None, False, []):
+            raise InputError(f"{'A LOG' if name == 'log' else '--' + name.replace('_', '-')} {why}.")
 
 
 def warn(sentence: str) -> None:

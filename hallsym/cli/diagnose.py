@@ -6,15 +6,10 @@ how far the error shrinks with that effect in the model, judged on holdout runs.
 
 import shlex
 from argparse import Namespace
+from typing import Any
 
 from hallsym.cli import INTERRUPTED, OK
-from hallsym.cli.common import (
-    open_log,
-    own_effects,
-    progress_of,
-    reading_words,
-    say,
-)
+from hallsym.cli.common import chosen, open_log, own_effects, progress_of, reading_words, say
 from hallsym.diagnosis import Examined, examine, model_on, prepare
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
@@ -23,7 +18,7 @@ from hallsym.families.machine_file import read_machine
 from hallsym.files import atomic_write, write_json
 from hallsym.log import Log
 from hallsym.log.columns import read_runs
-from hallsym.model import Effect, Model
+from hallsym.model import Model
 from hallsym.power import REPEATS, detection_power
 from hallsym.report.content import document
 from hallsym.report.data.gather import gather
@@ -69,30 +64,14 @@ def run(options: Namespace) -> int:
     if known:
         model: Model | Fit = known
     else:
-        model = model_on(
-            log,
-            name,
-            options.effect,
-            parameters=machine.parameters,
-            own=own,
-            holdout=holdout,
-            drop_bad=options.drop_bad,
-        )
+        given: dict[str, Any] = {"parameters": machine.parameters, "own": own, "holdout": holdout}
+        model = model_on(log, name, options.effect, drop_bad=options.drop_bad, **given)
+    more = {"holdout": holdout, "effects": tuple(own.values()), "on_progress": progress_of(options)}
     if options.power:
         if options.budget is not None:
             raise InputError("--budget ends one search; --power makes many: choose one of the two.")
-        return _power(options, log, model, holdout, tuple(own.values()))
-    setup = prepare(
-        log,
-        model,
-        holdout=holdout,
-        effects=tuple(own.values()),
-        threshold=options.threshold,
-        drop_bad=options.drop_bad,
-        budget=options.budget,
-        on_progress=progress_of(options),
-    )
-    seen = examine(setup)
+        return _power(options, log, model, more)
+    seen = examine(prepare(log, model, **(chosen(options, prepare) | more)))
     found = seen.diagnosis
     for path in options.output:
         if path.lower().endswith((".html", ".htm")):
@@ -100,27 +79,15 @@ def run(options: Namespace) -> int:
         else:
             write_json(path, found.to_dict())
     words = reading_words(options, known)
-    say(
-        options, found.to_dict(), lambda: diagnosis_content(found, reading=words), wrote=options.output
-    )  # fmt: skip
+    say(options, found.to_dict(), lambda: diagnosis_content(found, reading=words), wrote=options.output)
     return OK
 
 
-def _power(
-    options: Namespace, log: Log, model: Model | Fit, holdout: tuple[int, ...] | None, own: tuple[Effect, ...]
-) -> int:
+def _power(options: Namespace, log: Log, model: Model | Fit, more: dict[str, Any]) -> int:
     """Report which effects a diagnosis of this log would find, and above which size."""
-    found = detection_power(
-        log,
-        model,
-        names=None if options.power == EVERY else [n.strip() for n in options.power.split(",") if n.strip()],
-        holdout=holdout,
-        effects=own,
-        threshold=options.threshold,
-        repeats=options.repeats,
-        drop_bad=options.drop_bad,
-        on_progress=progress_of(options),
-    )
+    named = [n.strip() for n in options.power.split(",") if n.strip()]
+    given = chosen(options, detection_power) | more | {"names": None if options.power == EVERY else named}
+    found = detection_power(log, model, **given)
     for path in options.output:
         write_json(path, found.to_dict())
     say(options, found.to_dict(), lambda: power_content(found), wrote=options.output)

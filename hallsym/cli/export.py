@@ -8,7 +8,7 @@ from argparse import Namespace
 from math import degrees
 
 from hallsym.cli import NOT_DETERMINED, OK
-from hallsym.cli.common import own_effects, say
+from hallsym.cli.common import chosen, own_effects, say
 from hallsym.codegen.table import Error, Exported, export_table
 from hallsym.estimation.calibration import load_fit
 from hallsym.log.maker_tables import BY_NAME
@@ -45,15 +45,7 @@ calibration CALIB               a calibration saved by 'hallsym fit -o'
 def run(options: Namespace) -> int:
     """Carry the command out."""
     fit = load_fit(options.calibration, own_effects(options))
-    made = export_table(
-        fit,
-        options.table,
-        entries=options.entries,
-        like=options.like,
-        keep_reference=options.keep_reference,
-        motor_steps=options.motor_steps,
-        allow_undetermined=options.allow_undetermined,
-    )
+    made = export_table(fit, options.table, **chosen(options, export_table))
     made.write(options.output)
     record = {"output": str(options.output), **made.to_dict()}
     say(options, record, lambda: _content(made, options), notes=made.notes, wrote=[options.output])

@@ -89,20 +89,11 @@ def run(options: Namespace) -> int:
 
         model = model_on(logs[0], options.model, effects, parameters=parameters, **shared)
         effects, parameters = (), {}
-    result = fit(
-        logs if several else logs[0],
-        model,
-        solver=options.solver,
-        loss=options.loss,
-        parameters=parameters,
-        effects=effects,
-        corrections=options.correct,
-        accept=options.accept,
-        seed=options.seed,
-        per_log=[name for name in (options.per_log or "").split(",") if name],
-        holdout_logs=judged,
-        **shared,
-    )
+    given = common.chosen(options, fit) | shared | {
+        "parameters": parameters, "effects": effects, "corrections": options.correct, "holdout_logs": judged,
+        "per_log": [name for name in (options.per_log or "").split(",") if name],
+    }  # fmt: skip
+    result = fit(logs if several else logs[0], model, **given)
     if result.goodness and not several:
         goodness = replace(result.goodness, next_command=_diagnose(options, result))
         result = result.changed(goodness=goodness)

@@ -10,10 +10,11 @@ spread between devices beyond the uncertainty of a fit, and which devices differ
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from hallsym.cli import NOT_DESCRIBED, OK
-from hallsym.cli.common import progress_of, reading_of, say
-from hallsym.errors import InputError, require
+from hallsym.cli.common import chosen, progress_of, reading_of, refuse, say
+from hallsym.errors import require
 from hallsym.estimation.self_calibration import REFERENCES
 from hallsym.families.machine_file import read_machine
 from hallsym.files import atomic_write
@@ -54,19 +55,12 @@ def run(options: Namespace) -> int:
     if options.reference:
         return _rings(options)
     require(not options.each_run, "--each-run", "given with --reference", "--each-run")
-    found = fleet(
-        options.logs,
-        options.model,
-        effects=options.effect,
-        machine=options.machine,
-        diagnose=options.diagnose,
-        drop_bad=options.drop_bad,
-        reading={key: value for key, value in reading_of(options).items() if value},
-        output=options.output,
-        workers=options.workers,
-        scheduler=options.scheduler,
-        on_progress=progress_of(options),
-    )
+    given: dict[str, Any] = chosen(options, fleet) | {
+        "effects": options.effect,
+        "reading": {key: value for key, value in reading_of(options).items() if value},
+        "on_progress": progress_of(options),
+    }
+    found = fleet(options.logs, options.model, **given)
     wrote: list[str | Path] = [options.output] if options.output else []
     for path, make in ((options.next_machine, machine_file), (options.tolerances, tolerance_file)):
         if path:
@@ -81,9 +75,8 @@ def run(options: Namespace) -> int:
 
 def _rings(options: Namespace) -> int:
     """Calibrate rings of one jig without a reference."""
-    for name in ("diagnose", "scheduler", "next_machine", "tolerances"):
-        if getattr(options, name):
-            raise InputError(f"--{name.replace('_', '-')} is not for logs without a reference; leave it out.")
+    own = ("diagnose", "scheduler", "next_machine", "tolerances")
+    refuse(options, own, "is not for logs without a reference; leave it out")
     machine, reading = read_machine(options.machine), reading_of(options)
     logs = {}
     for device in devices_of(options.logs):

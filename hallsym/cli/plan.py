@@ -6,6 +6,7 @@ frequencies and time that you state, and write them as a campaign file that a la
 """
 
 from argparse import Namespace
+from typing import Any
 
 from hallsym.cli import OK, common
 from hallsym.errors import InputError, require
@@ -71,11 +72,8 @@ def run(options: Namespace) -> int:
     model, values, known_by = _truth(options, machine, log)
     noise, source = _noise(options, ranges, model, values, log)
     show("choosing runs")
-    found = plan(
-        ranges, model, values, noise,
-        criterion=options.criterion, runs=options.runs, minutes=options.minutes, after=log,
-        seed=options.seed,
-    )  # fmt: skip
+    given: dict[str, Any] = common.chosen(options, plan) | {"after": log}
+    found = plan(ranges, model, values, noise, **given)
     settings = len({setting for _, setting, _ in found.groups()})
     advice = (
         f"the settings ({settings}) are best for {model.name} as it is: record a few runs elsewhere too, and "

@@ -9,7 +9,7 @@ from argparse import Namespace
 from pathlib import Path
 
 from hallsym.cli import OK
-from hallsym.cli.common import FILE_OPTIONS, built, progress_of, say
+from hallsym.cli.common import FILE_OPTIONS, built, progress_of, refuse, say
 from hallsym.errors import InputError, require
 from hallsym.estimation import load_fit
 from hallsym.families import build
@@ -79,14 +79,13 @@ def run(options: Namespace) -> int:
 
 
 def _check(options: Namespace) -> None:
-    names = ("sets", "values", "machine", "effect")
-    given = [name for name in names if getattr(options, name)]
-    given += ["per-channel"] if options.per_channel != 1 else []
-    if given and not options.model:
-        raise InputError(f"--{given[0]} says how sets are chosen; give the array's --model too.")
-    own = [name for name in ("machine", "effect") if getattr(options, name)]
-    if options.values and own:
-        raise InputError(f"--values holds a calibrated model with all that it has; leave --{own[0]} out.")
+    own = ("machine", "effect")
+    if not options.model:
+        per_channel = ["per_channel"] if options.per_channel != 1 else []
+        names = ("sets", "values", *own, *per_channel)
+        refuse(options, names, "says how sets are chosen; give the array's --model too")
+    if options.values:
+        refuse(options, own, "is part of the model that --values holds; leave it out")
     kind = Path(options.output).suffix if options.output else ".csv"
     require(kind in (".csv", ".json"), "--output", "a .csv (a row a sensor) or .json (everything)", kind)
 

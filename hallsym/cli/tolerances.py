@@ -58,11 +58,8 @@ def run(options: Namespace) -> int:
     model = common.built(name, machine, options.effect)
     if options.along:
         return _along(options, model)
-    for option in ("set", "at", "plots"):
-        if getattr(options, option):
-            raise InputError(
-                f"--{option} is for errors along a coordinate; give --along {model.pose[0]} too."
-            )
+    along = f"is for errors along a coordinate; give --along {model.pose[0]} too"
+    common.refuse(options, ("set", "at", "plots"), along)
     if not options.effect and options.ranges is None:
         model = common.built(name, machine, [e for e in model.family.tolerances if e])
     ranges = None if options.ranges is None else read_tolerances(options.ranges, model)

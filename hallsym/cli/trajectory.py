@@ -14,7 +14,7 @@ from typing import Any
 
 from hallsym import trajectory
 from hallsym.cli import OK
-from hallsym.cli.common import progress_of, say
+from hallsym.cli.common import chosen, progress_of, refuse, say
 from hallsym.errors import InputError
 from hallsym.files import atomic_write
 from hallsym.report.content import Content, Table
@@ -75,9 +75,8 @@ def _check(options: Namespace) -> None:
     """Refuse incompatible options before anything is computed."""
     if (options.points_file is None) == (options.curve is None):
         raise InputError("Give either a file of POINTS or the nominal --curve.")
-    for name in ("range", "value", "points"):
-        if getattr(options, name) not in (None, []) and not options.curve:
-            raise InputError(f"--{name} belongs to --curve; {options.points_file} is a file.")
+    if not options.curve:
+        refuse(options, ("range", "value", "points"), f"belongs to --curve; {options.points_file} is a file")
     if options.curve and not options.range:
         raise InputError("--curve needs the range of its parameter, such as --range t=0:2*pi.")
     kinds = {Path(name).suffix.lower() for name in options.output}
@@ -94,9 +93,8 @@ def _check(options: Namespace) -> None:
 
 
 def _saved(options: Namespace) -> int:
-    for name in ("tolerance", "control", "method"):
-        if getattr(options, name):
-            raise InputError(f"--{name} is for making a curve; {options.points_file} is made already.")
+    made = f"is for making a curve; {options.points_file} is made already"
+    refuse(options, ("tolerance", "control", "method"), made)
     curve = trajectory.read_curve(options.points_file)
     written = _write(curve, options)
     record, text = about_curve(curve)
@@ -129,10 +127,8 @@ def _choice(options: Namespace) -> tuple[trajectory.Choice, list[str]]:
         data = trajectory.nominal(options.curve, read_span(options.range), dict(pairs))
     else:
         data = trajectory.read_points(options.points_file)
-    choice = trajectory.choose_curve(
-        data, _length(options, "tolerance"), points=options.points, control=options.control,
-        method=options.method, progress=progress_of(options),
-    )  # fmt: skip
+    given = chosen(options, trajectory.choose_curve) | {"progress": progress_of(options)}
+    choice = trajectory.choose_curve(data, _length(options, "tolerance"), **given)
     return choice, list(getattr(data, "notes", ()))
 
 
