@@ -29,20 +29,16 @@ class Words:
     words: str
 
 
-@dataclass(frozen=True)
-class Note:
+class Note(Words):
     """Explanation of a figure or a table of a page; a terminal leaves it out."""
 
-    kind: ClassVar[str] = "note"
-    words: str
+    kind = "note"
 
 
-@dataclass(frozen=True)
-class Heading:
+class Heading(Words):
     """A heading inside a section."""
 
-    kind: ClassVar[str] = "heading"
-    words: str
+    kind = "heading"
 
 
 @dataclass(frozen=True)
@@ -123,7 +119,7 @@ class Runs:
     data: Any
 
 
-Block = Words | Note | Heading | Table | Items | Figure | Runs
+Block = Words | Table | Items | Figure | Runs
 
 
 @dataclass(frozen=True)
@@ -186,7 +182,7 @@ def text_of(blocks: Sequence[Block | str]) -> str:
             lines += [*([""] if lines and lines[-1] else []), block.words]
         elif isinstance(block, Items):
             lines += [f"{name}: {words}" if name else words for name, words in block.lines]
-        elif isinstance(block, Words | str):
+        elif isinstance(block, Words | str) and not isinstance(block, Note):
             lines.append(block if isinstance(block, str) else block.words)
         else:
             continue

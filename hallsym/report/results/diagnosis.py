@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from math import isfinite, isnan
 from typing import Any
@@ -27,9 +27,8 @@ FEW_UNITS = 8
 """Units of a test by signs below which the least possible p-value is stated: 2 / 2^8 is 0.008."""
 LEAST_P = 1e-6
 """P-values below this are printed as below it: no test is better than its assumptions."""
-UNITS = {"m": (1e6, "um"), "rad": (1e6, "urad"), "s": (1e3, "ms"), "m/s": (1e6, "um/s"), "1": (1.0, ""),
-         "m s2/m": (1e6, "um per m/s2")}  # fmt: skip
-"""How parameters are shown: SI unit -> factor and unit for reading."""
+UNITS = {"s": (1e3, "ms"), "m/s": (1e6, "um/s"), "1": (1.0, ""), "m s2/m": (1e6, "um per m/s2")}
+"""Factor and unit of parameters that are not shown as `parameter_unit` has it."""
 STATES = {"no gap": "good", "explained": "good"}
 """Verdicts that close the diagnosis; every other one is open."""
 MOST = 12
@@ -171,11 +170,8 @@ def _errors(d: Diagnosis) -> Table:
     """Return rmse and peak on the holdout runs, with the floor and the one number that shrinkage is of."""
     gaps = {"before": d.gap_before, "after": d.gap_after} if d.effects else {"holdout": d.gap_before}
     rows, floor = {when: gap.sizes for when, gap in gaps.items()}, d.noise_floor
-    pose = tuple(floor.outputs)
-    ends = {
-        f"95 % interval, {w}": shared.interval_row(g.interval, pose) for w, g in gaps.items() if g.interval
-    }
-    return shared.error_table(pose, rows, floor.outputs, floor.source, more=ends)
+    known = {when: gap.interval for when, gap in gaps.items()}
+    return shared.error_table([*floor.outputs], rows, floor.outputs, floor.source, intervals=known)
 
 
 def _errors_section(d: Diagnosis) -> Section:
@@ -256,15 +252,9 @@ def shrinkage_text(value: float, interval: tuple[float, float] | None) -> str:
     return percent(value, 1) + (f" ({_ends(interval)})" if interval and known else "")
 
 
-def units_of(d: Diagnosis) -> Mapping[str, tuple[float, str]]:
-    """Return how numbers are shown: angles in degrees where the first output is an angle, else in urad."""
-    factor, unit, _ = readable(next(iter(d.noise_floor.outputs), "x_m"))
-    return UNITS | ({"rad": (factor, unit)} if unit == "deg" else {})
-
-
-def _estimate(p: Estimate, units: Mapping[str, tuple[float, str]]) -> tuple[str, str]:
+def _estimate(p: Estimate) -> tuple[str, str]:
     """Return value with 1 sigma, and unit."""
-    factor, unit = parameter_unit(p.unit) if p.unit in ("m", "rad") else units.get(p.unit, (1.0, p.unit))
+    factor, unit = UNITS.get(p.unit) or parameter_unit(p.unit)
     return concise(p.value * factor, None if p.std is None else p.std * factor), unit
 
 
@@ -343,10 +333,7 @@ def _meanings(d: Diagnosis) -> Items:
 
 def _found(d: Diagnosis) -> list[Block]:
     """Return the parameters of the effects."""
-    units, rows = units_of(d), []
-    for e in d.effects:
-        for parameter, p in e.parameters.items():
-            rows.append([e.name, parameter, *_estimate(p, units)])
+    rows = [[e.name, what, *_estimate(p)] for e in d.effects for what, p in e.parameters.items()]
     head = ["effect", "parameter", "value (1 sigma)", "unit"]
     return [Table(head, rows, "parameters of the effects", left=2, wordy=(3,), sortable=changed(d))]
 

@@ -25,12 +25,11 @@ def evaluation_content(found: Evaluation, *, by_run: bool = False) -> Content:
     pose, period, runs = found.model.pose, found.model.period, found.table.runs
     rows: dict[str, Any] = {"all runs" if len(runs) > 1 else "all samples": found.table.over()}
     each: dict[str, Any] = {f"run {run}": found.table.over([run]) for run in runs if by_run}
-    known = rmse_interval(found.table)
-    more = {"95 % interval": shared.interval_row(known, pose, period)} if known else {}
     source = "" if {s.source for s in found.noise.sigmas.values()} == {"given"} else "estimated"
     samples = counted(int(found.table.count.sum()), "sample")
     where = f" in {counted(len(runs), 'run')}" if len(runs) > 1 else ""
-    errors = shared.error_table(pose, rows, found.noise_floor, source, periodic=period, more=more)
+    known = {"": rmse_interval(found.table)}
+    errors = shared.error_table(pose, rows, found.noise_floor, source, period, intervals=known)
     return Content(
         f"{found.model.name} on {shared.called(found.log.path)}",
         found.goodness.verdict,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +11,7 @@ import numpy as np
 from hallsym.errors import InputError, counted
 from hallsym.estimation import Fit, evaluate
 from hallsym.estimation.calibration import MANY, LogRecord, coverage_factor, rmse_interval
-from hallsym.estimation.decoding import residuals
+from hallsym.estimation.decoding import ErrorTable, residuals
 from hallsym.estimation.goodness_of_fit import diagnose_command
 from hallsym.estimation.likelihood import cost_near
 from hallsym.estimation.outliers import column_spikes, reject_spikes
@@ -36,22 +35,8 @@ TOO_SMALL = 0.1
 LABELS = {"designed": "nominal"}
 
 
-def fit_content(fit: Fit, *, found: Sequence[Block | str] = (), log: Log | None = None) -> Content:
-    """Return the report of a calibration without another pass over its log.
-
-    `found`: further blocks of a page. `log`: where periodic errors are searched.
-    """
-    intervals: dict[str, list[str]] = {}
-    if fit.errors:
-        table, holdout = fit.errors.fitted, fit.errors.holdout
-        known = rmse_interval(table, holdout or table.runs)
-        if known:
-            label = f"95 % interval, {'holdout' if holdout else 'fitted'}"
-            intervals[label] = shared.interval_row(known, fit.model.pose, fit.model.period)
-    rows = {LABELS.get(k, k): v for k, v in fit.error_rows.items()}
-    errors = shared.error_table(
-        fit.model.pose, rows, fit.noise_floor, periodic=fit.model.period, more=intervals
-    )  # fmt: skip
+def fit_content(fit: Fit, *, log: Log | None = None) -> Content:
+    """Return the report of a calibration without another pass over its log, in which periodic errors are."""
     repeating = [] if fit.logs or log is None else periodic_blocks(fit, log)
     notes = [*circumstances(fit), *(f"note: {note}" for note in fit.notes)]
     return Content(
@@ -63,12 +48,23 @@ def fit_content(fit: Fit, *, found: Sequence[Block | str] = (), log: Log | None 
             Section("parameters", "Parameters", shared.parameters_of(fit)),
             Section("notes", "Evidence and notes", notes),
         ],
-        ["", basis(fit), errors, *found],
+        ["", basis(fit), _errors(fit, fit.errors.fitted if fit.errors else None)],
         state="bad" if amiss(fit) else "good",
         columns=_columns(fit),
         picture=lambda other: _picture(fit, other),
         footer=f"hallsym {fit.versions.get('hallsym', '')}",
     )
+
+
+def _errors(fit: Fit, table: ErrorTable | None, nominal: ErrorTable | None = None) -> Table:
+    """Return the errors of a fit, with the interval of those that judge it; `nominal`: of another log."""
+    rows, holdout = {LABELS.get(k, k): v for k, v in fit.error_rows.items()}, fit.log.holdout
+    judge = "holdout" if holdout else "fitted"
+    if table and nominal:
+        rows, holdout, judge = {"nominal": nominal.over(), "this log": table.over()}, (), "this log"
+    known = {judge: rmse_interval(table, holdout or table.runs)} if table else {}
+    model = fit.model
+    return shared.error_table(model.pose, rows, fit.noise_floor, periodic=model.period, intervals=known)
 
 
 def _picture(fit: Fit, log: Any) -> Picture:
@@ -267,14 +263,7 @@ def page_content(log: Log, fit: Fit, *, command: str = "", calibration: str = "c
     found = gather(log, fit, label="fitted", nominal=True)
     if same and _above_recorded(found, fit):
         found = gather(log, fit, label="fitted", keep=_spikes(log, fit), nominal=True)
-    survey, pose, period = found.survey, fit.model.pose, fit.model.period
-    rows = {LABELS.get(k, k): v for k, v in fit.error_rows.items()} if same and fit.error_rows else {
-        "nominal": survey.nominal.over(), "this log": survey.fitted.over()}  # fmt: skip
-    holdout = tuple(r for r in fit.log.holdout if same)
-    judged = "holdout" if holdout else "fitted" if same else "this log"
-    known = rmse_interval(survey.fitted, holdout or survey.runs)
-    more = {f"95 % interval, {judged}": shared.interval_row(known, pose, period)} if known else {}
-    errors = shared.error_table(pose, rows, fit.noise_floor, periodic=period, more=more)
+    errors = _errors(fit, found.survey.fitted, None if same and fit.error_rows else found.survey.nominal)
     said = fit_content(fit)
     notes = [*circumstances(fit), *_notes(log, fit, found, same)]
     described = verdict(fit).partition("; next: ")[0].rstrip(".")  # the card has the next command

@@ -36,7 +36,7 @@ def self_fit_content(result: SelfFit) -> Content:
     if found.left:
         names = {"nominal": "nominal transform", "ellipse": "ellipse alone", "table": "this table"}
         head = ["error on the holdout turn", "rms [electrical deg]", "less the separated motion"]
-        rows = [[names[n], *(f"{electrical_deg(v):.2f}" for v in pair)] for n, pair in found.left.items()]
+        rows = [[names[n], *(f"{degrees(v):.2f}" for v in pair)] for n, pair in found.left.items()]
         left = [Table(head, rows, "errors on the holdout turn")]
     shown: list[Wave] = []
     for verdict in (MOTION, OPEN, SENSOR):
@@ -73,11 +73,6 @@ def _columns(found: SelfFit) -> dict[str, list[Any]]:
     return {key: [row[key] for row in rows] for key in rows[0]}
 
 
-def electrical_deg(value: float) -> float:
-    """Return an electrical angle [rad] in degrees."""
-    return degrees(value)
-
-
 def _size(result: SelfFit, value: complex, std: float | None) -> str:
     size = electrical(result.found, value)
     return f"{size:.3f}" if std is None else f"{size:.3f} +- {electrical(result.found, std):.3f}"
@@ -87,27 +82,27 @@ def ring_fleet_content(found: RingFleet) -> Content:
     """Return drive and heads, rings to look at, rings best first."""
     jig, fleet, pairs = found.jig, found.fleet, found.pairs
     heads = [str(h + 1) for h in jig.heads]
-    places = ", ".join(f"{electrical_deg(p):.3f}" for p in jig.places)
+    places = ", ".join(f"{degrees(p):.3f}" for p in jig.places)
     basis = (
         f"{counted(len(fleet.rows), 'ring')}; Halls {', '.join(heads)} see one "
         f"field, at {places} mechanical deg from Hall {heads[0]}"
     )
     ripple = [
-        [str(n), f"{electrical_deg(abs(c) * pairs):.3f} +- {electrical_deg(s * pairs):.3f}"]
+        [str(n), f"{degrees(abs(c) * pairs):.3f} +- {degrees(s * pairs):.3f}"]
         for n, c, s in zip(jig.orders, jig.ripple, found.ripple_std, strict=True)
     ]
     said = fleet_content(fleet)
     left = [(str(r["device"]), float(r["left_rad"])) for r in fleet.rows if r.get("left_rad") is not None]
     rings: list[Block | str] = []
     if left:
-        middle, most = map(electrical_deg, np.percentile([v for _, v in left], [50, 95]))
+        middle, most = map(degrees, np.percentile([v for _, v in left], [50, 95]))
         rings.append(
             f"error on the holdout turn, less the drive's ripple: median {middle:.2f}, 95 % {most:.2f} "
             "electrical deg"
         )
         ends = [left[0], left[len(left) // 2], left[-1]]
         words = ("best", "median", "worst")
-        rings += [f"  {w}: {d}, {electrical_deg(v):.2f}" for w, (d, v) in zip(words, ends, strict=True)]
+        rings += [f"  {w}: {d}, {degrees(v):.2f}" for w, (d, v) in zip(words, ends, strict=True)]
     drive = Table(["ripple of the drive, per turn", "[electrical deg]"], ripple, "ripple of the drive")
     return replace(
         said,
@@ -119,7 +114,7 @@ def ring_fleet_content(found: RingFleet) -> Content:
 
 def turns_content(found: TurnPlan) -> Content:
     """Return the plan of turns: open waves, turns, speeds."""
-    places = ", ".join(number(electrical_deg(p), 4) for p in found.places)
+    places = ", ".join(number(degrees(p), 4) for p in found.places)
     where = f"Halls at {places} deg (mechanical) over {counted(found.pairs, 'pole pair')}"
     answer = f"{where} leave none of the waves 1 to {len(found.seen)} per turn open."
     if found.open:
@@ -141,12 +136,10 @@ def turns_content(found: TurnPlan) -> Content:
     if found.density is None:
         blocks.append("turns: not known before a recording; give one with --after LOG --accuracy 0.01deg")
     else:
-        errors = [
-            [str(n), f"{electrical_deg(table_error(found.density, n)):.4f}"] for n in (1, 2, 4, 8, 16, 32)
-        ]
+        errors = [[str(n), f"{degrees(table_error(found.density, n)):.4f}"] for n in (1, 2, 4, 8, 16, 32)]
         blocks.append(Table(["turns", "rms of the table [mechanical deg]"], errors, "turns"))
         if found.target is not None:
             turns = counted(found.turns or 0, "turn")
-            target = number(electrical_deg(found.target), 4)
+            target = number(degrees(found.target), 4)
             blocks.append(f"{target} deg needs {turns}, and one to judge it.")
     return Content("Plan of turns", answer, [Section("turns", "Turns", blocks)])

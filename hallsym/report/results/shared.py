@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
@@ -59,13 +60,13 @@ def error_table(
     source: str = "",
     periodic: Collection[str] | None = None,
     *,
-    more: Mapping[str, Sequence[str]] | None = None,
+    intervals: Mapping[str, Mapping[str, tuple[float, float]]],
 ) -> Table:
-    """Return the rmse of each output, then its peak, one line per entry of `rows`.
+    """Return the rmse of each output, its 95 % intervals and noise floor, then its peak.
 
-    `source`: whether the noise floor is stated or estimated, where it is printed. `periodic`: coordinates
-    that go round, see `hallsym.units.readable`. `more`: further lines of the rmse, as text, above
-    that of the noise floor.
+    One line per entry of `rows`. `intervals`: of the rmse of some rows, those that are known. `source`:
+    whether the noise floor is stated or estimated, where it is printed. `periodic`: coordinates that go
+    round, see `hallsym.units.readable`.
     """
     known = {label: row for label, row in rows.items() if row is not None}
 
@@ -74,7 +75,13 @@ def error_table(
             [f"{what}, {n}", *cells([v[what][c] for c in pose], pose, periodic, 4)] for n, v in known.items()
         ]
 
-    table = [*sizes("rmse"), *([label, *words] for label, words in (more or {}).items())]
+    table = sizes("rmse")
+    for label, found in intervals.items():
+        if found:
+            ends = zip(*(found.get(c, (math.nan, math.nan)) for c in pose), strict=True)
+            low, high = (cells(side, pose, periodic) for side in ends)
+            spans = [f"{a} .. {b}" if a else "" for a, b in zip(low, high, strict=True)]
+            table.append([f"95 % interval, {label}".removesuffix(", "), *spans])
     if floor:
         noise = cells([floor[c] for c in pose], pose, periodic, 4)
         table.append([f"noise floor, {source}" if source else "noise floor", *noise])
@@ -92,16 +99,6 @@ def errors_by(
         sizes = (cells([row[what][c] for c in pose], pose, periodic, 4) for what in ("rmse", "peak"))
         lines.append([label, *chain.from_iterable(sizes)])
     return Table(head, lines, f"root mean square and largest error of each output, {title}")
-
-
-def interval_row(
-    found: Mapping[str, tuple[float, float]], pose: Sequence[str], periodic: Collection[str] | None = None
-) -> list[str]:
-    """Return the intervals as cells of an error table."""
-    known = [c for c in pose if c in found]
-    low, high = (cells([found[c][k] for c in known], known, periodic) for k in (0, 1))
-    said = {c: f"{a} .. {b}" for c, a, b in zip(known, low, high, strict=True)}
-    return [said.get(c, "") for c in pose]
 
 
 def expanded_at_rest(fit: Fit) -> list[str]:
