@@ -15,7 +15,6 @@ from twins import bundled
 
 import hallsym
 from hallsym.cli.main import main
-from hallsym.errors import LONGEST
 
 CAMPAIGN = "[[run]]\nduration_s = 1\nx_m = 1e-6\n"
 AXES = '[[trajectory]]\nduration_s = 1\nx_m = { kind = "sine", amplitude = 1e-4, frequency_hz = 1 }\n'
@@ -32,20 +31,6 @@ def columns():
 def log(tmp_path):
     hallsym.write_log(columns(), tmp_path / "log.csv")
     return tmp_path / "log.csv"
-
-
-def refused(capsys, *arguments):
-    try:
-        code = main([str(a) for a in arguments])
-    except SystemExit as end:
-        code = end.code
-    said = capsys.readouterr().err
-    assert code == 2, said
-    assert said.endswith("\n")
-    assert said.count("\n") == 1
-    assert len(said) <= LONGEST + len("hallsym: \n")
-    assert said.rstrip("\n").isprintable()
-    return said
 
 
 # -- values ----------------------------------------------------------------------------------------------
@@ -75,19 +60,19 @@ def test_a_time_of_1e308(capsys, tmp_path):
 
 
 @pytest.mark.parametrize("ids", [2**53, 0.5, np.nan])
-def test_run_numbers_that_are_none(capsys, tmp_path, ids):
+def test_run_numbers_that_are_none(refused, tmp_path, ids):
     found, arrow = columns(), pytest.importorskip("pyarrow")
     found["run"] = found["run"].astype("u8") + np.uint64(ids) if ids > 1 else found["run"] + ids
     pytest.importorskip("pyarrow.parquet").write_table(arrow.table(found), tmp_path / "log.parquet")
-    assert "whole run numbers up to 2^53" in refused(capsys, "info", tmp_path / "log.parquet")
+    assert "whole run numbers up to 2^53" in refused("info", tmp_path / "log.parquet")
 
 
-def test_booleans_are_no_readings(capsys, tmp_path):
+def test_booleans_are_no_readings(refused, tmp_path):
     from scipy.io import savemat
 
     found = columns()
     savemat(tmp_path / "log.mat", found | {"hall_a_m": found["hall_a_m"] > 0})
-    assert re.search("hall_a_m.*bool", refused(capsys, "fit", tmp_path / "log.mat"))
+    assert re.search("hall_a_m.*bool", refused("fit", tmp_path / "log.mat"))
 
 
 # -- HDF5 ------------------------------------------------------------------------------------------------
@@ -103,11 +88,11 @@ def grouped(path, short=0):
                     file[f"run_{run}/{name}"] = part[: len(part) - short * (name == "z_m") * (k == 1)]
 
 
-def test_a_run_group_whose_columns_are_not_equally_long_is_refused(capsys, tmp_path):
+def test_a_run_group_whose_columns_are_not_equally_long_is_refused(refused, tmp_path):
     grouped(tmp_path / "log.h5")
     assert main(["info", str(tmp_path / "log.h5")]) == 0
     grouped(tmp_path / "log.h5", short=7)
-    assert "must be equally long; they have" in refused(capsys, "info", tmp_path / "log.h5")
+    assert "must be equally long; they have" in refused("info", tmp_path / "log.h5")
 
 
 def test_soft_links_are_followed_and_others_are_named(capsys, tmp_path):
@@ -127,46 +112,27 @@ def test_soft_links_are_followed_and_others_are_named(capsys, tmp_path):
 
 
 @pytest.mark.parametrize("chunks", [(65536,), None])
-def test_1e10_rows_that_were_never_written(capsys, tmp_path, chunks):
+def test_1e10_rows_that_were_never_written(refused, tmp_path, chunks):
     with pytest.importorskip("h5py").File(tmp_path / "log.h5", "w") as file:
         for name in columns():
             file.create_dataset(name, shape=(10**10,), chunks=chunks, dtype="f8")
-    refused(capsys, "info", tmp_path / "log.h5")
+    refused("info", tmp_path / "log.h5")
 
 
-def test_a_sparse_text_file(capsys, tmp_path):
+def test_a_sparse_text_file(refused, tmp_path):
     with open(tmp_path / "log.csv", "wb") as stream:
         stream.write(b"run,t_s,hall_a_m\n1,0,1e-6\n")
         stream.truncate(10**10)
     if os.stat(tmp_path / "log.csv").st_blocks > 1000:
         pytest.skip("this file system has no sparse files")
-    assert "in lines of at most" in refused(capsys, "info", tmp_path / "log.csv")
+    assert "in lines of at most" in refused("info", tmp_path / "log.csv")
 
 
 # -- names -----------------------------------------------------------------------------------------------
 
 
-def test_names_that_cannot_be(capsys, log, tmp_path):
-    for name in (
-        "x" * 300,
-        "x" * 300 + ".csv",
-        "/".join(["d" * 100] * 3) + ".csv",
-        "a\nb\x1b[2J.csv",
-        "a\0.csv",
-    ):
-        refused(capsys, "info", name)
-        refused(capsys, "evaluate", name, log)
-    refused(capsys, "fit", log, "--solver", "direct", "-o", tmp_path / ("y" * 300 + ".json"))
-    refused(capsys, "fit", log, "--solver", "direct", "-o", "a\0.json")
-
-
-@pytest.mark.parametrize("option", ["-o", "--plots", "--machine", "--column-file", "--model"])
-def test_an_empty_word_is_not_taken_for_none(capsys, log, option):
-    assert "must not be empty" in refused(capsys, "fit", log, option, "")
-
-
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes")
-def test_a_pipe_is_not_waited_for(capsys, log, tmp_path):
+def test_a_pipe_is_not_waited_for(refused, log, tmp_path):
     os.mkfifo(tmp_path / "pipe.csv")
     for arguments in (
         ["info", "PIPE"], ["evaluate", "PIPE", log], ["fit", log, "--machine", "PIPE"],
@@ -174,12 +140,7 @@ def test_a_pipe_is_not_waited_for(capsys, log, tmp_path):
         ["fit", log, "--column-file", "PIPE"], ["fit", log, "--effects", "PIPE", "--effect", "mine"],
     ):  # fmt: skip
         words = [tmp_path / "pipe.csv" if a == "PIPE" else a for a in arguments]
-        assert "is a pipe or a device" in refused(capsys, *words)
-
-
-@pytest.mark.parametrize("runs", ["1-99999999999", f"1-{'9' * 400}", "9" * 5000, "5-1"])
-def test_holdout_ranges_without_end(capsys, log, runs):
-    assert "--holdout must be run numbers" in refused(capsys, "fit", log, "--holdout", runs)
+        assert "is a pipe or a device" in refused(*words)
 
 
 # -- campaigns and other TOML ----------------------------------------------------------------------------
@@ -196,25 +157,25 @@ def test_holdout_ranges_without_end(capsys, log, runs):
         (f"step_s = {'[' * 5000}{']' * 5000}\n", "nested too deeply"),
     ],
 )  # fmt: skip
-def test_campaigns_that_cannot_be(capsys, tmp_path, text, words):
+def test_campaigns_that_cannot_be(refused, tmp_path, text, words):
     (tmp_path / "c.toml").write_text(text)
     for arguments in (
         ["info"],
         ["sensitivity", "--plan"],
         ["simulate", "--seed", "1", "-o", tmp_path / "o.csv"],
     ):
-        assert re.search(words, refused(capsys, *arguments, tmp_path / "c.toml"))
+        assert re.search(words, refused(*arguments, tmp_path / "c.toml"))
 
 
 @pytest.mark.parametrize("position", [[197.5, 0.4], [True, 0.4], "12", [0.2], [float("nan"), 0.2]])
-def test_probes_of_another_machine(capsys, tmp_path, position):
+def test_probes_of_another_machine(refused, tmp_path, position):
     hallsym.write_log(columns(), tmp_path / "log.csv")
     good = [[0.2, 0.4], [-0.2, 0.4], [0.2, 0.36]]
     senses = [[0, 1], [0, 1], [1, 0]]
     probes = [{"channel": f"hall_{'abc'[k]}_m", "position_m": good[k], "senses": senses[k]} for k in range(3)]
     probes[0]["position_m"] = position
     (tmp_path / "meta.json").write_text(json.dumps({"probes": probes}))
-    refused(capsys, "fit", tmp_path)
+    refused("fit", tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -224,26 +185,26 @@ def test_probes_of_another_machine(capsys, tmp_path, position):
         ({"validaton_runs": [1]}, "did you mean 'validation_runs'"),
     ],
 )
-def test_misspelt_keys_of_a_meta_file(capsys, tmp_path, meta, words):
+def test_misspelt_keys_of_a_meta_file(refused, tmp_path, meta, words):
     hallsym.write_log(columns(), tmp_path / "log.csv")
     (tmp_path / "meta.json").write_text(json.dumps(meta))
-    assert words in refused(capsys, "info", tmp_path)
+    assert words in refused("fit", tmp_path)
 
 
 # -- outputs ---------------------------------------------------------------------------------------------
 
 
-def test_an_output_that_is_an_input_is_refused_under_every_name(capsys, log, tmp_path):
+def test_an_output_that_is_an_input_is_refused_under_every_name(refused, log, tmp_path):
     before = log.read_bytes()
     (tmp_path / "soft.json").symlink_to(log)
     os.link(log, tmp_path / "hard.json")
     for name in (log, "soft.json", "hard.json", f"../{tmp_path.name}/log.csv"):
-        said = refused(capsys, "fit", log, "--solver", "direct", "-o", tmp_path / name)
+        said = refused("fit", log, "--solver", "direct", "-o", tmp_path / name)
         assert "which would be lost" in said
     assert log.read_bytes() == before
 
 
-def test_an_output_that_another_option_reads_is_refused(capsys, log, tmp_path):
+def test_an_output_that_another_option_reads_is_refused(capsys, refused, log, tmp_path):
     assert main(["fit", str(log), "--solver", "direct", "-o", str(tmp_path / "calib.json")]) in (0, 3)
     capsys.readouterr()
     (tmp_path / "m.toml").write_text("[parameters.eta_A]\nnominal = 0.9\n")
@@ -254,7 +215,7 @@ def test_an_output_that_another_option_reads_is_refused(capsys, log, tmp_path):
         ["fit", log, "--machine", tmp_path / "m.toml", "-o", tmp_path / "m.toml"],
         ["sensitivity", calib, log, "-o", log], ["diagnose", log, "-o", log],
     ):  # fmt: skip
-        assert "which would be lost" in refused(capsys, *arguments)
+        assert "which would be lost" in refused(*arguments)
 
 
 @pytest.mark.slow

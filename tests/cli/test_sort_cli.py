@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from hallsym.cli.main import main
 from tests.sorting.benches import bench, written
 
 ROOT = Path(__file__).parents[2]
@@ -18,14 +17,9 @@ def table(tmp_path_factory):
     return written(tmp_path_factory.mktemp("bench") / "bench.csv", columns)
 
 
-def run(capsys, *arguments) -> tuple[int, str, str]:
-    code = main([str(a) for a in arguments])
-    return code, *capsys.readouterr()
-
-
-def test_sensors_are_sorted_and_matched(capsys, table, tmp_path):
+def test_sensors_are_sorted_and_matched(run, table, tmp_path):
     code, out, err = run(
-        capsys, "sort", table, "--model", "stage31", "--sets", 4, "-o", tmp_path / "sets.csv",
+        "sort", table, "--model", "stage31", "--sets", 4, "-o", tmp_path / "sets.csv",
     )  # fmt: skip
     assert (code, err) == (0, "")
     for words in (
@@ -41,26 +35,25 @@ def test_sensors_are_sorted_and_matched(capsys, table, tmp_path):
     assert sorted(row["place"] for row in rows if row["set"] == "4") == ["hall_a_m", "hall_b_m", "hall_c_m"]
 
 
-def test_json_and_text_tell_the_same(capsys, table, tmp_path):
-    code, out, _ = run(capsys, "sort", table, "--model", "rotary", "--json")
+def test_json_and_text_tell_the_same(run, table, tmp_path):
+    code, out, _ = run("sort", table, "--model", "rotary", "--json")
     record = json.loads(out)
     assert code == 0
     assert len(record["sensors"]) == 90
     assert sum(entry["sensors"] for entry in record["bins"]) == 90
     assert record["matching"]["ways"][0]["way"] == "matched"
     assert len(record["matching"]["sets"]) == 45
-    assert run(capsys, "sort", table, "--model", "rotary", "-o", tmp_path / "all.json")[0] == 0
+    assert run("sort", table, "--model", "rotary", "-o", tmp_path / "all.json")[0] == 0
     saved = json.loads((tmp_path / "all.json").read_text())
     assert saved["sensors"] == record["sensors"]
 
 
-def test_columns_are_mapped_and_fields_stated(capsys, table, tmp_path):
+def test_columns_are_mapped_and_fields_stated(run, table, tmp_path):
     lines = table.read_text().replace("sensor,", "ID,", 1).replace("reading_1_v", "Hall", 1).splitlines()
     kept = [0, 1, 3, 4, 6, 7]  # without the columns of the field
     other = tmp_path / "own.csv"
     other.write_text("\n".join(",".join(line.split(",")[k] for k in kept) for line in lines) + "\n")
     code, out, err = run(
-        capsys,
         "sort",
         other,
         "--column",
@@ -74,32 +67,13 @@ def test_columns_are_mapped_and_fields_stated(capsys, table, tmp_path):
     assert "90 sensors sorted" in out
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--sets", "4"], "--model"),
-        (["--model", "stage31", "--sets", "400"], "90 were sorted"),
-        (["--model", "stage31", "--values", "a.json", "--effect", "quantisation"], "--effect"),
-        (["-o", "a.txt"], ".csv"),
-        (["--field", "0,475"], "unit"),
-        (["--field", "0mT,1mT,2mT"], "2 readings a row"),
-        (["--column", "sensor=Name"], "no column 'Name'"),
-    ],
-)
-def test_bad_input_is_one_sentence(capsys, table, arguments, words):
-    code, out, err = run(capsys, "sort", table, *arguments)
-    assert (code, out) == (2, "")
-    assert words in err
-    assert err.count("\n") == 1
-
-
-def test_sets_for_a_calibration(capsys, table, tmp_path):
+def test_sets_for_a_calibration(run, table, tmp_path):
     calibration = tmp_path / "calibration.json"
     arguments = ("--model", "rotary", "--solver", "direct", "-o", calibration)
-    assert run(capsys, "fit", ROOT / "data" / "encoder", *arguments)[0] in (0, 3)
-    code, out, err = run(capsys, "sort", table, "--model", "rotary", "--values", calibration, "--json")
+    assert run("fit", ROOT / "data" / "encoder", *arguments)[0] in (0, 3)
+    code, out, err = run("sort", table, "--model", "rotary", "--values", calibration, "--json")
     assert (code, err) == (0, "")
     assert json.loads(out)["matching"]["gain_over_bins"] > 1
-    code, _, err = run(capsys, "sort", table, "--model", "stage31", "--values", calibration)
+    code, _, err = run("sort", table, "--model", "stage31", "--values", calibration)
     assert code == 2
     assert "--model rotary" in err
