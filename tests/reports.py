@@ -17,6 +17,8 @@ from hallsym.report.data.survey import Trace
 from hallsym.report.drawing import WIDTH
 from hallsym.simulation import Campaign, NoiseModel, Run, simulate, sine
 
+HOLDOUT = (2, 7, 12)
+
 
 @cache
 def full() -> Identifiability:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from reports import run_series
+from reports import HOLDOUT, run_series
 from twins import Chopped, record, with_noise
 
 from hallsym import load_fit, write_log
@@ -26,7 +26,6 @@ from hallsym.report.picture import Axis, Panel
 from hallsym.report.results import shared
 from hallsym.report.results.fit import page_content
 
-HOLDOUT = (2, 7, 12)
 VOID = {"meta", "br"}
 
 
@@ -64,16 +63,6 @@ class Outline(HTMLParser):
 
     def all(self, name: str) -> list[dict[str, str | None]]:
         return [attributes for found, attributes in self.found if found == name]
-
-
-@pytest.fixture(scope="module")
-def log() -> Log:
-    return with_noise(record(seed=1))
-
-
-@pytest.fixture(scope="module")
-def fitted(log: Log) -> Fit:
-    return fit(log, "stage31", solver="direct", loss="none", holdout=HOLDOUT)
 
 
 @pytest.fixture(scope="module")

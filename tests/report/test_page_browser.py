@@ -8,11 +8,8 @@ import browser
 import numpy as np
 import pytest
 from reports import run_series
-from test_page import HOLDOUT
 from test_page_diagnosis import POSE, a_record, page_of
-from twins import record, with_noise
 
-from hallsym.estimation import fit
 from hallsym.report.content import document
 from hallsym.report.data.gather import gather
 from hallsym.report.results.fit import page_content
@@ -90,11 +87,9 @@ def chromium(tmp_path_factory) -> browser.Browser:
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory) -> dict[str, Path]:
+def pages(tmp_path_factory, log, fitted) -> dict[str, Path]:
     """Pages of a fit, of a fit with many settings and names, and of a diagnosis."""
     folder = tmp_path_factory.mktemp("pages")
-    log = with_noise(record(seed=1))
-    fitted = fit(log, "stage31", solver="direct", loss="none", holdout=HOLDOUT)
     t = np.linspace(0, 20, 40_000)
     noise = np.random.default_rng(0).standard_normal((3, t.size))
     errors = {"before": 3e-6 * np.sin(2 * t) + 1e-6 * noise, "after": 1e-6 * noise}

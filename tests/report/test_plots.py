@@ -26,17 +26,6 @@ from hallsym.simulation import Campaign, NoiseModel, Run, simulate, sine
 ROOT = Path(__file__).resolve().parents[2]
 CAMPAIGN = ROOT / "data" / "campaign"
 CALIBRATION = ROOT / "tests" / "golden" / "calib.json"
-HOLDOUT = (2, 7, 12)
-
-
-@pytest.fixture(scope="module")
-def log() -> Log:
-    return with_noise(record(seed=1))
-
-
-@pytest.fixture(scope="module")
-def fitted(log: Log) -> Fit:
-    return fit(log, "stage31", solver="direct", loss="none", holdout=HOLDOUT)
 
 
 @pytest.fixture(scope="module")
@@ -169,19 +158,9 @@ def test_corrections_of_the_fit_are_applied(
 # -- an evaluation ----------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def calibration() -> Fit:
-    return fit(with_noise(record(seed=1)), "stage31", solver="direct", loss="none")
-
-
-@pytest.fixture(scope="module")
-def other() -> Log:
-    return with_noise(record(seed=2))
-
-
-def test_errors_that_are_drawn_are_those_of_the_evaluation(calibration: Fit, other: Log) -> None:
+def test_errors_that_are_drawn_are_those_of_the_evaluation(fitted: Fit) -> None:
     """Zero deviations are those of the log that is evaluated, not of the one that was fitted."""
-    found = evaluate(calibration, other)
+    found = evaluate(fitted, with_noise(record(seed=2)))
     seen = look_over(found.decoded, found.applied)
     assert seen.runs == found.table.runs
     assert seen.fitted.squares == pytest.approx(found.table.squares, rel=1e-6)

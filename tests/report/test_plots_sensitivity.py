@@ -10,30 +10,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from hallsym.inference import Identifiability
 from hallsym.report.drawing import draw
 from hallsym.report.figures.sensitivity import LOOKS, correlation, drawable, effects
-
-
-@pytest.fixture(scope="module")
-def full() -> Identifiability:
-    return reports.full()
-
-
-@pytest.fixture(scope="module")
-def level() -> Identifiability:
-    return reports.level()
-
-
-@pytest.fixture(scope="module")
-def odd() -> Identifiability:
-    return reports.odd()
-
 
 # -- correlation -----------------------------------------------------------------------------------------
 
 
-def test_correlation_writes_each_pair_once_and_names_what_is_left_out(full: Identifiability) -> None:
+def test_correlation_writes_each_pair_once_and_names_what_is_left_out() -> None:
+    full = reports.full()
     figure = draw(correlation(full))
     ax = figure.axes[0]
     names = [label.get_text() for label in ax.get_yticklabels()]
@@ -51,7 +35,8 @@ def test_correlation_writes_each_pair_once_and_names_what_is_left_out(full: Iden
     assert "not determined: H1x, H1y, H2x, H2y, H3x, H3y." in figure.get_supxlabel()
 
 
-def test_fullness_of_a_cell_is_the_correlation_and_negative_ones_have_a_dash(full: Identifiability) -> None:
+def test_fullness_of_a_cell_is_the_correlation_and_negative_ones_have_a_dash() -> None:
+    full = reports.full()
     k = [full.model.names.index(name) for name in ("eta_A", "eta_B")]
     two = np.full_like(full.correlation, np.nan)
     two[np.ix_(k, k)] = [[1.0, -0.25], [-0.25, 1.0]]
@@ -67,7 +52,8 @@ def test_fullness_of_a_cell_is_the_correlation_and_negative_ones_have_a_dash(ful
 # -- effects ---------------------------------------------------------------------------------------------
 
 
-def test_bars_of_effects_end_at_what_the_report_says(odd: Identifiability) -> None:
+def test_bars_of_effects_end_at_what_the_report_says() -> None:
+    odd = reports.odd()
     figure = draw(effects(odd))
     rows = [e for e in odd.parameters if e.verdict.word != "fixed"]
     assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == [e.name for e in rows]
@@ -102,12 +88,6 @@ def test_bars_of_effects_end_at_what_the_report_says(odd: Identifiability) -> No
 # -- as drawings -----------------------------------------------------------------------------------------
 
 
-PICTURES = {
-    "correlation": correlation,
-    "effects": effects,
-}
-
-
 def apart(figure: Figure) -> None:
     """No two texts lie on each other."""
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
@@ -136,15 +116,11 @@ def labels(tick: Tick) -> tuple[Text, Text]:
 
 
 @pytest.mark.parametrize(
-    ("picture", "which"),
-    [
-        *(("correlation", which) for which in ("full", "level")),
-        *(("effects", which) for which in ("odd", "level")),
-    ],
+    ("picture", "report"),
+    [(correlation, "full"), (correlation, "level"), (effects, "odd"), (effects, "level")],
 )
-def test_nothing_is_beyond_the_edge_or_on_other_words(picture: str, which: str) -> None:
-    report: Identifiability = getattr(reports, which)()
-    figure = draw(PICTURES[picture](report))
+def test_nothing_is_beyond_the_edge_or_on_other_words(picture, report: str) -> None:
+    figure = draw(picture(getattr(reports, report)()))
     FigureCanvasAgg(figure).draw()
     reports.inside(figure)
     apart(figure)
