@@ -28,6 +28,7 @@ from hallsym.output import fitted, printable
 from hallsym.records import named
 from hallsym.report.content import Content, printed
 from hallsym.report.picture import Picture
+from hallsym.report.views import content
 from hallsym.simulation import Campaign, campaign_from, paper_campaign, read_campaign, table8_noise
 from hallsym.toml import column_of
 
@@ -196,24 +197,26 @@ def progress_of(options: Namespace) -> Callable[[str], None]:
 
 def say(
     options: Namespace,
-    record: Mapping[str, Any],
-    said: Callable[[], Content | str],
+    found: Any,
+    said: Callable[[], Content | str] | None = None,
     *,
     notes: Sequence[str] = (),
-    wrote: Sequence[str | Path] = (),
+    wrote: Sequence[str | Path | None] = (),
     then: Sequence[str] = (),
 ) -> None:
     """Print the JSON record with its format; or the answer, then notes, files written, the next command.
 
-    `then`: the words of that command.
+    `found`: a result, or a record of which `said` makes the answer. `then`: the words of that command.
     """
     if options.json:
+        record = found.to_dict() if said is None else found
         print(json_text({"format": f"hallsym {options.command} 1", **record}))
         return
     progress.ended()
-    content = said()
-    text = content if isinstance(content, str) else printed(content)
-    lines = [printable(f"note: {note}") for note in notes] + [printable(f"wrote {path}") for path in wrote]
+    answer = content(found) if said is None else said()
+    text = answer if isinstance(answer, str) else printed(answer)
+    lines = [printable(f"note: {note}") for note in notes]
+    lines += [printable(f"wrote {path}") for path in wrote if path]
     lines += [printable(f"next: {shlex.join(then)}")] if then else []
     print(fitted("\n".join([text, *lines]).rstrip("\n")))
 

@@ -23,7 +23,6 @@ from hallsym.power import REPEATS, detection_power
 from hallsym.report.content import document
 from hallsym.report.data.gather import gather
 from hallsym.report.results.diagnosis import diagnosis_content
-from hallsym.report.results.power import power_content
 
 EVERY = "all"
 """Word for every effect of the catalogue."""
@@ -90,7 +89,7 @@ def _power(options: Namespace, log: Log, model: Model | Fit, more: dict[str, Any
     found = detection_power(log, model, **given)
     for path in options.output:
         write_json(path, found.to_dict())
-    say(options, found.to_dict(), lambda: power_content(found), wrote=options.output)
+    say(options, found, wrote=options.output)
     return OK if found.complete else INTERRUPTED
 
 

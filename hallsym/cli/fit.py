@@ -25,7 +25,6 @@ from hallsym.log import Log
 from hallsym.log.columns import read_runs
 from hallsym.model import Model
 from hallsym.report.results.shared import few
-from hallsym.report.views import content
 
 EPILOG = """\
 examples:
@@ -102,7 +101,7 @@ def run(options: Namespace) -> int:
     for name, log, part in parts or [("", logs[0], result)]:
         folder = options.plots and Path(options.plots) / name
         wrote += common.fit_pictures(options, log, part, folder)
-    common.say(options, result.to_dict(), lambda: content(result), wrote=wrote, then=_next(options, result))
+    common.say(options, result, wrote=wrote, then=_next(options, result))
     return exit_code(result, said=not options.json)
 
 
@@ -126,14 +125,12 @@ def _without_reference(options: Namespace, machine: Machine) -> int:
     )  # fmt: skip
     from hallsym.report.figures.self_calibration import waves_figure
 
-    wrote: list[str | Path] = []
     if options.output:
         result.save(options.output)
-        wrote.append(options.output)
     draw = {"waves": lambda: waves_figure(result)}
-    wrote += common.plots(options, draw, log.path, result.fit.model.name)
+    drawn = common.plots(options, draw, log.path, result.fit.model.name)
     then = [] if options.output else [*options.typed, "-o", "calib.json"]
-    common.say(options, result.to_dict(), lambda: content(result), wrote=wrote, then=then)
+    common.say(options, result, wrote=[options.output, *drawn], then=then)
     if result.open and not options.json:
         common.warn(f"{counted(len(result.open), 'wave')} of the table not separated from the motion.")
     return NOT_DETERMINED if result.open else OK

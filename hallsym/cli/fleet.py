@@ -9,7 +9,6 @@ spread between devices beyond the uncertainty of a fit, and which devices differ
 
 from argparse import Namespace
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from hallsym.cli import NOT_DESCRIBED, OK
@@ -18,11 +17,9 @@ from hallsym.errors import require
 from hallsym.estimation.self_calibration import REFERENCES
 from hallsym.families.machine_file import read_machine
 from hallsym.files import atomic_write
-from hallsym.fleets import devices_of, fleet, machine_file, ring_fleet, tolerance_file
+from hallsym.fleets import Fleet, RingFleet, devices_of, fleet, machine_file, ring_fleet, tolerance_file
 from hallsym.fleets.row import GOOD
 from hallsym.log import Drop, read_log, without
-from hallsym.report.results.fleet import fleet_content
-from hallsym.report.results.self_calibration import ring_fleet_content
 from hallsym.report.views import page_of
 
 EPILOG = """\
@@ -61,16 +58,18 @@ def run(options: Namespace) -> int:
         "on_progress": progress_of(options),
     }
     found = fleet(options.logs, options.model, **given)
-    wrote: list[str | Path] = [options.output] if options.output else []
     for path, make in ((options.next_machine, machine_file), (options.tolerances, tolerance_file)):
         if path:
             atomic_write(path, make(found))
-            wrote.append(path)
+    return _said(options, found, found)
+
+
+def _said(options: Namespace, found: Fleet | RingFleet, devices: Fleet) -> int:
+    """Write the page of the result and print its report; 3 where a device is not good."""
     if options.page:
         atomic_write(options.page, page_of(found))
-        wrote.append(options.page)
-    say(options, found.to_dict(), lambda: fleet_content(found), wrote=wrote)
-    return OK if set(found.verdicts) <= {GOOD} else NOT_DESCRIBED
+    say(options, found, wrote=[options.output, options.next_machine, options.tolerances, options.page])
+    return OK if set(devices.verdicts) <= {GOOD} else NOT_DESCRIBED
 
 
 def _rings(options: Namespace) -> int:
@@ -95,9 +94,4 @@ def _rings(options: Namespace) -> int:
     )  # fmt: skip
     if options.output:
         found.save(options.output)
-    wrote: list[str | Path] = [options.output] if options.output else []
-    if options.page:
-        atomic_write(options.page, page_of(found))
-        wrote.append(options.page)
-    say(options, found.to_dict(), lambda: ring_fleet_content(found), wrote=wrote)
-    return OK if set(found.fleet.verdicts) <= {GOOD} else NOT_DESCRIBED
+    return _said(options, found, found.fleet)

@@ -52,7 +52,6 @@ from hallsym.report.results.info import (
     model_record,
 )
 from hallsym.report.results.shared import few
-from hallsym.report.views import content
 from hallsym.report.words import number
 from hallsym.simulation import read_campaign
 from hallsym.trajectory import is_curve, read_curve
@@ -103,7 +102,7 @@ def run(options: Namespace) -> int:
         say(options, record, lambda: text)
     elif options.file.endswith(".json"):
         known = load_fit(options.file)
-        say(options, known.to_dict(), lambda: content(known))
+        say(options, known)
     elif options.file.endswith(".toml"):
         campaign = read_campaign(options.file)
         record = {

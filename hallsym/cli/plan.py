@@ -21,8 +21,7 @@ from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.records import named
 from hallsym.report.figures.plan import coverage
-from hallsym.report.results.plan import plan_content
-from hallsym.report.results.self_calibration import turns_content
+from hallsym.report.views import content
 from hallsym.simulation import is_the_papers, table8_noise, write_campaign
 from hallsym.units import read_quantity
 
@@ -80,17 +79,14 @@ def run(options: Namespace) -> int:
         "hold them out of the fit, to see whether the model is right between them."
     )
     notes = [known_by, source, advice]
-    written = [options.output] if options.output else []
     if options.output:
         groups = [f"{n} x {setting}; {trajectory}" for n, setting, trajectory in found.groups()]
         head = f"{len(found.campaign.runs)} runs for {model.name}, criterion {found.study.criterion.name}"
         comment = "\n".join([f"Planned by hallsym: {head}.", *groups])
         write_campaign(found.campaign, options.output, comment=comment)
-    written += common.plots(options, {"coverage": lambda: coverage(found, log)}, options.ranges, model.name)
-    common.say(
-        options, found.to_dict() | {"notes": notes}, lambda: plan_content(found),
-        notes=notes, wrote=written,
-    )  # fmt: skip
+    drawn = common.plots(options, {"coverage": lambda: coverage(found, log)}, options.ranges, model.name)
+    record, wrote = found.to_dict() | {"notes": notes}, [options.output, *drawn]
+    common.say(options, record, lambda: content(found), notes=notes, wrote=wrote)
     return OK
 
 
@@ -151,5 +147,5 @@ def _turns(options: Namespace) -> int:
     if options.after and result.found.closure is not None:  # which period they stand in is known now
         places = [0.0, *result.found.closure.jig.places.tolist()]
     found = TurnPlan(pairs, tuple(places), seen(places, waves_of(pairs)), target, density)
-    common.say(options, found.to_dict(), lambda: turns_content(found))
+    common.say(options, found)
     return OK

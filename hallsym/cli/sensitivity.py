@@ -18,7 +18,6 @@ from hallsym.families.machine_file import read_machine
 from hallsym.files import write_json
 from hallsym.inference import Identifiability, identify
 from hallsym.report.figures.sensitivity import drawable
-from hallsym.report.results.identifiability import identifiability_content
 from hallsym.report.results.shared import few
 from hallsym.simulation import campaign_from, paper_campaign, read_campaign
 
@@ -49,13 +48,11 @@ log LOG <optional>              the log it was fitted to, or another one
 def run(options: Namespace) -> int:
     """Carry the command out."""
     report = _planned(options) if options.plan is not None else _recorded(options)
-    record, written = report.to_dict(), []
     if options.output:
-        write_json(options.output, record)
-        written.append(Path(options.output))
+        write_json(options.output, report.to_dict())
     draw = {picture.__name__: partial(picture, report) for picture in drawable(report)}
-    written += common.plots(options, draw, report.evidence.recorded, report.model.name)
-    common.say(options, record, lambda: identifiability_content(report), wrote=written)
+    drawn = common.plots(options, draw, report.evidence.recorded, report.model.name)
+    common.say(options, report, wrote=[options.output, *drawn])
     return _exit_code(report)
 
 

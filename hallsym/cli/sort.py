@@ -73,8 +73,7 @@ def run(options: Namespace) -> int:
         save_table(options.output, found, matching)
     record = found.to_dict() | ({"matching": matching.to_dict()} if matching else {})
     notes = [*found.notes, *(matching.notes if matching else ())]
-    wrote = [options.output] if options.output else []
-    say(options, record, lambda: sorting_content(found, matching), notes=notes, wrote=wrote)
+    say(options, record, lambda: sorting_content(found, matching), notes=notes, wrote=[options.output])
     return OK
 
 

@@ -13,7 +13,6 @@ from hallsym.errors import InputError
 from hallsym.families.machine_file import read_machine
 from hallsym.model import Model
 from hallsym.report.figures.uncertainty import errors_along
-from hallsym.report.results.tolerances import errors_content, tolerances_content
 from hallsym.simulation.paper import DESIGNED
 from hallsym.uncertainty import error_model
 from hallsym.uncertainty.ranges import read_tolerances, read_value
@@ -66,7 +65,7 @@ def run(options: Namespace) -> int:
     found = tolerances(
         model, common.campaign_of(options), ranges=ranges, samples=options.samples, seed=options.seed
     )
-    common.say(options, found.to_dict(), lambda: tolerances_content(found))
+    common.say(options, found)
     return OK
 
 
@@ -93,5 +92,5 @@ def _along(options: Namespace, model: Model) -> int:
     at = common.column_values(options.at, columns)
     found = error_model(model, values, over=(column, low, high), at=at)
     pictures = common.plots(options, {"errors": lambda: errors_along(found)}, found.model.name)
-    common.say(options, found.to_dict(), lambda: errors_content(found), wrote=pictures)
+    common.say(options, found, wrote=pictures)
     return OK

@@ -110,6 +110,10 @@ _CONTENTS = {
     "Budget": "budget.budget_content",
     "Fleet": "fleet.fleet_content",
     "RingFleet": "self_calibration.ring_fleet_content",
+    "TurnPlan": "self_calibration.turns_content",
+    "Tolerances": "tolerances.tolerances_content",
+    "ErrorModel": "tolerances.errors_content",
+    "DetectionPower": "power.power_content",
 }
 """Maker of the content of each kind; its module is loaded when one is shown."""
 
