@@ -144,14 +144,6 @@ def test_a_log_that_leaves_parameters_open_exits_with_3(run, here, tmp_path):
 # -- pictures --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_pictures_are_written(ran, here, tmp_path):
-    said = ran("calib.json", "log.csv", "--plots", str(tmp_path / "new"))
-    for name in ("budget.png", "uncertainty_map.png"):
-        assert f"wrote {tmp_path / 'new' / name}" in said
-        assert (tmp_path / "new" / name).stat().st_size > 10_000
-
-
 def test_bars_are_the_shares(here):
     budgets = position_budget(here, {"x_m": 1e-4, "z_m": 2e-4}, Settings(adc_step=1e-7, zero_averaged=9))
     figure = draw(budget_bars(budgets))

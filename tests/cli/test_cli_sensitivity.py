@@ -67,13 +67,3 @@ def test_a_plan_by_model_and_by_calibration(run, folder):
     assert code == 3
     assert "does not determine a_A" in err
     assert "practical rank 9 of 21" in out
-
-
-@pytest.mark.slow
-def test_pictures_are_written(run, folder, tmp_path):
-    words = ("--plots", tmp_path / "p", "--plot-format", "svg")
-    code, out, _ = run("sensitivity", folder / "calib.json", folder / "log.csv", *words)
-    assert code == 0
-    written = sorted(p.name for p in (tmp_path / "p").iterdir())
-    assert "correlation.svg" in written
-    assert all(f"{tmp_path / 'p' / name}" in out for name in written)

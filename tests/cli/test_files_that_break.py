@@ -36,27 +36,26 @@ def log(tmp_path):
 # -- values ----------------------------------------------------------------------------------------------
 
 
-def test_a_column_without_a_number_is_shown_without_extent(capsys, tmp_path):
+def test_a_column_without_a_number_is_shown_without_extent(run, tmp_path):
     found = columns()
     found["z_m"] = np.full(len(found["run"]), np.nan)
     hallsym.write_log(found, tmp_path / "log.csv")
-    assert main(["info", str(tmp_path / "log.csv"), "--json"]) == 0
-    record = json.loads(capsys.readouterr().out)
+    record = json.loads(run("info", tmp_path / "log.csv", "--json")[1])
     assert record["columns"]["z_m"]["min"] is None
     assert record["columns"]["hall_a_m"]["min"] < 0
     assert any("z_m" in note for note in record["notes"])
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_a_time_of_1e308(capsys, tmp_path):
+def test_a_time_of_1e308(run, tmp_path):
     found = columns()
     found["t_s"] = found["t_s"].copy()
     found["t_s"][-1] = 1e308
     hallsym.write_log(found, tmp_path / "log.csv")
-    assert main(["info", str(tmp_path / "log.csv")]) == 0
-    assert "a step of 1e+308 s" in capsys.readouterr().out
-    assert main(["fit", str(tmp_path / "log.csv"), "--solver", "direct"]) == 3
-    assert "a step of 1e+308 s" in capsys.readouterr().out
+    for words, code in ((("info",), 0), (("fit", "--solver", "direct"), 3)):
+        seen, out, _ = run(*words, tmp_path / "log.csv")
+        assert seen == code
+        assert "a step of 1e+308 s" in out
 
 
 @pytest.mark.parametrize("ids", [2**53, 0.5, np.nan])
@@ -95,7 +94,7 @@ def test_a_run_group_whose_columns_are_not_equally_long_is_refused(refused, tmp_
     assert "must be equally long; they have" in refused("info", tmp_path / "log.h5")
 
 
-def test_soft_links_are_followed_and_others_are_named(capsys, tmp_path):
+def test_soft_links_are_followed_and_others_are_named(run, tmp_path):
     h5py, path = pytest.importorskip("h5py"), tmp_path / "log.h5"
     with h5py.File(path, "w") as file:
         for k, (name, values) in enumerate(columns().items()):
@@ -104,8 +103,7 @@ def test_soft_links_are_followed_and_others_are_named(capsys, tmp_path):
         file["again"] = h5py.SoftLink("/")
         file["raw/again"] = file["raw"]
         file["temperature_degc"] = h5py.SoftLink("/nowhere")
-    assert main(["info", str(path), "--json"]) == 0
-    record = json.loads(capsys.readouterr().out)
+    record = json.loads(run("info", path, "--json")[1])
     assert record["rows"] == len(columns()["run"])
     assert len(record["runs"]) == 6
     assert "Column temperature_degc is left out: it is a link to nothing." in record["notes"]
@@ -204,9 +202,8 @@ def test_an_output_that_is_an_input_is_refused_under_every_name(refused, log, tm
     assert log.read_bytes() == before
 
 
-def test_an_output_that_another_option_reads_is_refused(capsys, refused, log, tmp_path):
-    assert main(["fit", str(log), "--solver", "direct", "-o", str(tmp_path / "calib.json")]) in (0, 3)
-    capsys.readouterr()
+def test_an_output_that_another_option_reads_is_refused(run, refused, log, tmp_path):
+    assert run("fit", log, "--solver", "direct", "-o", tmp_path / "calib.json")[0] in (0, 3)
     (tmp_path / "m.toml").write_text("[parameters.eta_A]\nnominal = 0.9\n")
     calib = tmp_path / "calib.json"
     for arguments in (
@@ -251,17 +248,12 @@ def test_ctrl_c_while_libraries_are_loaded_is_one_sentence(log):
     assert said.count("\n") <= 1
 
 
-def test_a_mistake_of_ours_is_not_called_bad_input(capsys, log, monkeypatch):
+def test_a_mistake_of_ours_is_not_called_bad_input(run, log, monkeypatch):
     import hallsym.cli.info
 
-    def broken(*_):
-        raise KeyError("x_m")
-
-    monkeypatch.setattr(hallsym.cli.info, "_about_log", broken)
-    assert main(["info", str(log)]) == 70
-    said = capsys.readouterr().err
+    monkeypatch.setattr(hallsym.cli.info, "_about_log", lambda *_: {}["x_m"])
+    code, _, said = run("info", log)
+    assert (code, said.count("\n")) == (70, 1)
     assert said.startswith("hallsym: This is a mistake in hallsym, not in your input: KeyError")
-    assert said.count("\n") == 1
     monkeypatch.setenv("HALLSYM_DEBUG", "1")
-    assert main(["info", str(log)]) == 70
-    assert "Traceback" in capsys.readouterr().err
+    assert "Traceback" in run("info", log)[2]

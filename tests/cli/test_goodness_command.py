@@ -132,7 +132,10 @@ def test_what_is_made_of_such_a_calibration_repeats_it(run, plain, tmp_path):
     assert code == 0
     assert f"The model of this calibration {said} its log" in out
     code, _, _ = run("report", plain, CAMPAIGN, "-o", tmp_path / "page.html")
-    assert f"The model {said} this log" in (tmp_path / "page.html").read_text()
+    page = (tmp_path / "page.html").read_text()
+    assert f"The model {said} this log" in page
+    assert 'class="card bad"' in page
+    assert re.search(r"<code>.*diagnose.*stage30.*</code>", page)
 
 
 @pytest.mark.slow

@@ -37,21 +37,14 @@ def work(seconds: float):
     return [(t, Step(f"summarising runs, {100 * t // seconds} %", t / seconds)) for t in range(int(seconds))]
 
 
-def test_off_a_terminal_nothing_is_said_unless_asked():
+def test_off_a_terminal_nothing_is_said_unless_asked_and_then_every_few_seconds(monkeypatch):
     assert shown(io.StringIO(), work(20)) == ""
-
-
-def test_off_a_terminal_there_is_a_line_every_few_seconds_with_the_time_left(monkeypatch):
     monkeypatch.setenv(ASKED, "1")
+    assert shown(io.StringIO(), work(4)) == ""  # short work
     lines = shown(io.StringIO(), work(20)).splitlines()
     assert len(lines) == 20 // EVERY_S - 1
     assert lines[0] == "hallsym: summarising runs, 25 %, 15 s left"
     assert not any("\r" in line or "\033" in line for line in lines)
-
-
-def test_off_a_terminal_short_work_says_nothing(monkeypatch):
-    monkeypatch.setenv(ASKED, "1")
-    assert shown(io.StringIO(), work(4)) == ""
 
 
 def test_on_a_terminal_one_line_is_drawn_again_and_taken_away(monkeypatch):

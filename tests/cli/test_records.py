@@ -16,7 +16,7 @@ DATA = Path(__file__).resolve().parents[2] / "data"
 RING = f"{DATA}/ring --model rings3"
 SLOW = pytest.mark.slow
 LINES = [
-    "budget calib.json LOG --at angle_deg=10 --monte-carlo 10000",
+    "budget calib.json LOG --at angle_deg=10 --monte-carlo 10000 --plots budget,uncertainty_map",
     f"budget {DATA}/micromachines2019/table2_budget.toml --curve c.json --monte-carlo 10000",
     "capture board --columns counter,v_sin_v --lines 2 -o captured.csv",
     "codegen calib.json -o firmware",
@@ -39,7 +39,7 @@ LINES = [
     "plan --like-paper --runs 4",
     f"plan --reference constant-speed --model rings3 --after {DATA}/ring --accuracy 0.01deg",
     "report calib.json LOG -o page.html",
-    "sensitivity calib.json LOG",
+    "sensitivity calib.json LOG --plots correlation,effects",
     f"simulate {DATA}/encoder/campaign.toml -o made.csv --seed 1",
     "sort bench.csv --field 0mT,475mT --model rotary --sets 3",
     "tolerances --model rotary --samples 64",
@@ -91,6 +91,10 @@ def test_what_json_prints_is_valid(line, folder, capsys, monkeypatch):
     monkeypatch.setattr(capture, "open_port", board)
     command, *words = ({"LOG": f"{DATA}/encoder"}.get(word, word) for word in line.split())
     assert main([command, *words, "--json"]) in (0, 2, 3)
+    if "--plots" in words:  # a folder, called as its pictures are
+        folder = Path(words[-1])
+        assert sorted(path.stem for path in folder.iterdir()) == folder.name.split(",")
+        assert all(path.read_bytes().startswith(b"\x89PNG") for path in folder.iterdir())
     found = json.loads(capsys.readouterr().out)
     assert next(iter(found)) == "format"
     schema = records.schema(command)

@@ -108,23 +108,6 @@ def test_page_says_what_the_fit_says(page: str, fitted: Fit, log: Log):
     assert text.count("; not identifiable from any recording") == len(fitted.structural)
 
 
-@pytest.mark.slow
-def test_verdict_says_how_far_above_the_floor_and_asks_for_a_diagnosis(log: Log):
-    rough = fit(log, "stage30", solver="direct", loss="none", holdout=HOLDOUT)
-    text = document(page_content(log, rough))
-    assert 'class="card bad"' in text
-    assert re.search(r"<code>.*diagnose.*stage30.*</code>", text)
-    sentence = re.search(r'id="verdict">(.*?)</p>', text)[1]
-    rmse = rough.errors.rows()["holdout"]["rmse"]
-    ratio = max(rmse[c] / rough.noise_floor[c] for c in rmse)
-    assert ratio > 1.5
-    assert rough.goodness.sentence.partition("; next: ")[0] in sentence
-
-
-def test_same_input_same_bytes(page: str, log: Log, fitted: Fit):
-    assert document(page_content(log, fitted, command="hallsym report calib.json log.csv")) == page
-
-
 def test_page_loads_nothing_and_is_small(page: str):
     assert len(page.encode()) < 1_500_000
     outline = Outline(page)

@@ -44,15 +44,6 @@ def test_the_variable_columns_is_honoured_down_to_what_can_be_read(wide):
     assert columns() == NARROWEST
 
 
-@pytest.mark.parametrize("width", [120, 90, 70, 60, 50, 40])
-def test_a_table_fits_and_keeps_every_word(wide, width):
-    expected = words_of(grid(ROWS, words=True))
-    wide(width)
-    text = grid(ROWS, words=True)
-    assert max(map(len, text.split("\n"))) <= width
-    assert set(words_of(text)) >= set(expected)
-
-
 def test_columns_that_do_not_fit_follow_in_blocks_with_the_names_of_the_rows(wide):
     wide(40)
     rows = [["run", *(f"column_{k:04d}" for k in range(9))], ["first", *map(str, range(9))]]
