@@ -1,4 +1,4 @@
-"""The command line: one file a command, `add(sub)` describes it and `run(options)` carries it out."""
+"""The command line: one file a command, with its help page as docstring, a table of `OPTIONS`, and `run`."""
 
 GROUPS = {
     "calibrate": {
