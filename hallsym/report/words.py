@@ -38,12 +38,6 @@ def scale(column: str, largest: float, periodic: Collection[str] | None = None) 
     return factor, typeset(unit)
 
 
-def degrees_of(unit: str, column: str) -> tuple[float, str] | None:
-    """Return factor and unit of a column that is an angle read in degrees; None of anything else."""
-    factor, shown, _ = readable(column)
-    return (factor, shown) if unit == "rad" and shown == "deg" else None
-
-
 def setting(
     columns: Sequence[str],
     point: np.ndarray,

@@ -10,7 +10,7 @@ import numpy as np
 from hallsym.diagnosis import Band, CurveShape, Diagnosis, place_unit
 from hallsym.report import picture as p
 from hallsym.report.figures.errors import Sizes, against_floor
-from hallsym.report.words import degrees_of, name, number, scale
+from hallsym.report.words import name, number, scale
 from hallsym.units import typeset
 
 
@@ -79,7 +79,9 @@ def curves(shape: CurveShape) -> tuple[str, list[p.Panel]]:
 def _line(shape: CurveShape, sensor: str, band: np.ndarray, unit: str, high: float) -> p.Panel:
     """Return the panel of a sensor; `band` (3, places): values, and the ends of their intervals."""
     value, low, top = band
-    across, shown = degrees_of(shape.unit, shape.column) or _scale_of(shape.unit, max(map(abs, shape.grid)))
+    own = shape.unit in ("m", "rad", "v")
+    across, shown = scale(shape.column, max(map(abs, shape.grid))) if own else place_unit(shape.unit)
+    shown = "" if shape.unit == "1" else typeset(shown)
     grid = across * np.array(shape.grid)
     known = top > low  # no band: no samples there
     most = int(np.argmax(np.abs(value)))
@@ -104,10 +106,3 @@ def _most_of(readings: list[Band]) -> float:
     values = [abs(v) for r in readings for v in r.value]
     ends = sorted(abs(v) for r in readings for v in (*r.low, *r.high))
     return max(1.25 * max(values, default=0.0), ends[int(0.9 * (len(ends) - 1))] if ends else 0.0)
-
-
-def _scale_of(unit: str, largest: float) -> tuple[float, str]:
-    if unit in ("m", "rad", "v"):
-        return scale(f"x_{unit}", largest)
-    factor, shown = place_unit(unit)
-    return factor, "" if unit == "1" else typeset(shown)
