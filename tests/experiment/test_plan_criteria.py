@@ -46,15 +46,6 @@ def test_criteria_are_information_functions(seed, m, factor):
         assert np.sum(G * a) >= at_a * (1 - 1e-6)
 
 
-def test_slopes_are_derivatives():
-    rng = np.random.default_rng(1)
-    M, step = positive(rng, 4) + np.eye(4), rng.normal(size=(4, 4))
-    step = step + step.T
-    phi, h = criterion("D", 4, np.eye(4)[:, None]), 1e-5
-    numeric = (phi.values(M + h * step) - phi.values(M - h * step)) / (2 * h)
-    assert np.sum(phi.slope(M) * step) == pytest.approx(float(numeric), rel=1e-6)
-
-
 def test_criteria_of_a_diagonal_matrix():
     """det^(1/2) = 6, 1 / (largest variance 1/4)."""
     M = np.diag([4.0, 9.0])
@@ -107,11 +98,3 @@ def test_the_choice_is_the_best_of_all(name, seed):
     unit = np.eye(7, dtype=int)
     every = [value(unit[list(p)].sum(axis=0)) for p in combinations_with_replacement(range(7), 4)]
     assert value(counts) == pytest.approx(max(every), rel=1e-9)
-
-
-def test_what_is_known_already_is_not_recorded_again():
-    """A line with 100 observations at one end: the next ones all go to the other."""
-    infos, phi = polynomial(1, LINE), criterion("D", 2, np.eye(2)[:, None])
-    base = 100 * infos[0] + NOTHING * np.eye(2)
-    counts = choose(infos, base, 10, phi, np.random.default_rng(0))
-    assert counts[20] == 10

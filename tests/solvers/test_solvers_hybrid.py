@@ -66,13 +66,6 @@ def test_starts_of_the_user_join_the_search_and_are_refined_first():
     assert len(result.local) >= 3
 
 
-def test_same_seed_same_bits():
-    problem = SPHERE.problem()
-    one, other = (hybrid(problem, seed=3, budget=400, keep=3) for _ in range(2))
-    assert np.array_equal(one.x, other.x)
-    assert np.array_equal(one.history, other.history)
-
-
 @pytest.mark.parametrize(("cost_at", "derivatives_at"), [(1, 99), (3, 99), (99, 1), (99, 12)])
 def test_interruption_at_any_stage_returns_the_best_so_far(cost_at, derivatives_at):
     inner, costs, slopes = ROSENBROCK.problem().derivatives, [], []
