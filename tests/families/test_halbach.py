@@ -174,7 +174,11 @@ def test_wavelength_is_scale_of_x_and_z_with_the_pitch():
         ("forbidden_harmonics", {"a2": 3e-3, "b2": -1e-3}),
         ("wavelength_error", {"longer": 2e-3}),
         ("finite_width", {"fading": 3.0}),
-        ("magnet_map", {"magnet_-3_remanence": 0.05, "magnet_2_turn": 0.03, "magnet_4_remanence": -2.0}),
+        pytest.param(
+            "magnet_map",
+            {"magnet_-3_remanence": 0.05, "magnet_2_turn": 0.03, "magnet_4_remanence": -2.0},
+            marks=pytest.mark.slow,
+        ),
         ("reference_scale_error", {"scale_x": 1e-3, "scale_z": 5e-3}),
     ],
 )

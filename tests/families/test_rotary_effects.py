@@ -57,28 +57,6 @@ def make_of(text: str):
 # -- texts -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("form", "text"), CASES)
-def test_an_effect_of_an_encoder_is_built_again_from_its_text(form: str, text: str) -> None:
-    base = bare(form)
-    wide = make_of(text)(base)
-    (new,) = [e for e in wide.effects if e not in base.effects]
-    assert wide.texts == {new: text}
-    meta = Meta(probes=[dict(p.entry) for p in base.layout])
-    again = build("rotary", meta=meta, added=(wide.texts[new],))
-    assert (again.names, again.state, again.effects) == (wide.names, wide.state, wide.effects)
-    rng = np.random.default_rng(0)
-    p = wide.nominal + 1e-3 * rng.standard_normal(len(wide.names))
-    pose, state = rng.uniform(-3, 3, 1), rng.standard_normal(len(wide.state))
-    here = np.asarray(wide.reading(p, np.zeros(0), pose, state))
-    assert np.array_equal(here, np.asarray(again.reading(p, np.zeros(0), pose, state)))
-    # absent where its new parameters are 0, and there where they are not
-    p[len(base.names) :] = wide.nominal[len(base.names) :]
-    absent = np.asarray(wide.reading(p, np.zeros(0), pose, state))
-    plain = np.asarray(base.reading(p[: len(base.names)], np.zeros(0), pose, np.zeros(0)))
-    turns = (absent - plain) / (2 * np.pi) if form == "angle" else absent - plain
-    assert np.allclose(turns, np.round(turns), atol=1e-9)
-
-
 def test_every_effect_of_an_encoder_is_among_the_cases() -> None:
     for form in ONLY:
         names = {text.partition(":")[0] for f, text in CASES if f == form}

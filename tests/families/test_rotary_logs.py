@@ -13,7 +13,6 @@ import hallsym
 from hallsym.cli.main import main
 from hallsym.diagnosis import diagnose
 from hallsym.errors import InputError
-from hallsym.estimation.evaluate import judged
 from hallsym.families import build, default_model
 from hallsym.log import Log, Meta, Noise, check_log, continuous, wrapped
 from hallsym.report.results.fit import circumstances
@@ -79,22 +78,6 @@ def test_a_reading_lies_next_to_its_reference():
     assert continuous(whole, build("rotary", meta=log.meta)) is whole
 
 
-@pytest.mark.parametrize("make", [angle_log, voltage_log])
-def test_a_calibration_comes_back_from_its_file(make, tmp_path):
-    fit = fitted(make(V, BOTH, 1e-4), effects=["harmonics"])
-    fit.save(tmp_path / "calib.json")
-    back = hallsym.load_fit(tmp_path / "calib.json")
-    assert (back.model.names, back.model.channels, back.model.layout) == (
-        fit.model.names, fit.model.channels, fit.model.layout,
-    )  # fmt: skip
-    assert np.array_equal(back.values, fit.values)
-    noise = fit.noise.std
-    again = judged(make(V, BOTH, 1e-4), back.model, back.values, noise).table
-    assert again.over()["rmse"]["angle_rad"] == pytest.approx(
-        fit.errors.rows()["fitted"]["rmse"]["angle_rad"]
-    )
-
-
 def test_the_noise_floor_is_that_of_the_decoded_angle():
     log = voltage_log({"Ax": 2.0, "Ay": 2.0}, BOTH, 1e-3)
     sigma = {"v_sin_v": 1e-3, "v_cos_v": 1e-3, "angle_ref_rad": 3e-4}
@@ -134,10 +117,10 @@ def stated(columns):
 @pytest.mark.parametrize(
     ("make", "reference", "a", "correction"),
     [
-        (angle_log, lambda a: 2 * a, BOTH, "scale angle_ref_rad 0.5"),
+        pytest.param(angle_log, lambda a: 2 * a, BOTH, "scale angle_ref_rad 0.5", marks=pytest.mark.slow),
         (voltage_log, lambda a: a / 7, 7 * BOTH, "scale angle_ref_rad 7"),
         (angle_log, lambda a: np.degrees(a) % 360, BOTH, "scale angle_ref_rad deg"),
-        (voltage_log, np.degrees, BOTH, "scale angle_ref_rad deg"),
+        pytest.param(voltage_log, np.degrees, BOTH, "scale angle_ref_rad deg", marks=pytest.mark.slow),
     ],
 )
 def test_a_reference_of_another_scale_is_claimed_with_what_puts_it_right(make, reference, a, correction):

@@ -299,10 +299,11 @@ def refused(match: str, sources, **options) -> None:
     assert "\n" not in str(error.value)
 
 
-def test_what_is_not_there_or_twice_is_one_sentence(broken, tmp_path):
-    folder, *_ = broken
+def test_what_is_not_there_or_twice_is_one_sentence(tmp_path):
     refused("No log is called", tmp_path / "nothing.csv")
     refused("holds none", tmp_path)
+    folder = tmp_path / "logs"
+    write_fleet(folder, 1)
     refused("needs logs", [])
     refused("Two devices are called 'dev0'", [folder / "dev0.parquet", folder / "dev0.parquet"])
     refused("did you mean .rotary.", folder, model="rotarry")

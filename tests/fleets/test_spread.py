@@ -39,7 +39,7 @@ def test_the_spread_is_that_of_the_devices_and_not_of_the_estimates():
     assert np.std([f.mean for f in found], ddof=1) == pytest.approx(stated, rel=3 / np.sqrt(80))
 
 
-@pytest.mark.parametrize("devices", [3, *(pytest.param(n, marks=pytest.mark.slow) for n in (5, 20)), 200])
+@pytest.mark.parametrize("devices", [3, *(pytest.param(n, marks=pytest.mark.slow) for n in (5, 20, 200))])
 @pytest.mark.parametrize("size", [0.1, 1.0])
 def test_intervals_and_bounds_hold_what_they_say(devices, size):
     """Of 300 fleets: the interval of tau holds it in 95 %, the bounds 9,999 of 10,000 next devices in 95 %.
@@ -69,7 +69,7 @@ def test_no_spread_where_the_estimates_scatter_as_their_uncertainty_says():
     assert np.mean([f.interval[0] == 0 for f in found]) >= binomial(200, 0.975)[0]
 
 
-@pytest.mark.parametrize("devices", [5, 10, 100])
+@pytest.mark.parametrize("devices", [5, *(pytest.param(n, marks=pytest.mark.slow) for n in (10, 100))])
 def test_a_good_fleet_has_an_outlying_device_in_one_of_a_hundred(devices):
     found = [bool(spread_of("gain", "1", *drawn(seed, devices, size=0.002)).outlying) for seed in range(400)]
     assert np.mean(found) <= binomial(400, 0.015)[1]

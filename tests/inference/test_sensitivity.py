@@ -309,21 +309,6 @@ def contradictions(found) -> list[str]:
     return wrong
 
 
-@pytest.mark.parametrize("name", ["stage30", "stage31", "stage31_tied"])
-def test_no_verdict_contradicts_the_null_directions_of_a_simulated_log(name):
-    """Angles near zero: an arm belongs to its direction although it hardly moves along it."""
-    truth = {**TRUTH, "theta_A": np.radians(0.4), "theta_B": np.radians(0.02), "theta_C": np.radians(0.04)}
-    model = build(name)
-    values = {n: truth[n] for n in model.names if n in truth}
-    log = simulate(model, values, paper_campaign(0.02), NoiseModel(SIGMAS), seed=3)
-    found = identify(fit(log, name, solver="direct"), profiles="none")
-    assert contradictions(found) == []
-    if name != "stage31_tied":
-        assert [d.parameters for d in found.structural.null] == PAIRS
-        assert all(found[n].verdict.word == "not determined" for pair in PAIRS for n in pair)
-        assert found.practical.null == ()
-
-
 @pytest.mark.parametrize(
     "name",
     [

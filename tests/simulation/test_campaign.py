@@ -283,18 +283,6 @@ def _key(run: Run) -> tuple:
     return (run.name, run.duration_s, places, dict(run.motion), run.offsets)
 
 
-def test_the_articles_campaign_survives_a_file(tmp_path):
-    write_campaign(paper_campaign(), tmp_path / "paper.toml", comment="57 runs\nof the article")
-    assert (tmp_path / "paper.toml").read_text().startswith("# 57 runs\n# of the article\n")
-    assert same(read_campaign(tmp_path / "paper.toml"), paper_campaign())
-
-
-def test_settings_trajectories_and_rasters_survive_a_file_as_single_runs(written, tmp_path):
-    campaign = read_campaign(written(GOOD + RUNS))
-    write_campaign(campaign, tmp_path / "again.toml")
-    assert same(read_campaign(tmp_path / "again.toml"), campaign)
-
-
 numbers = st.floats(-1e-3, 1e-3)
 signals = st.one_of(
     st.builds(sine, numbers, frequencies, numbers),
