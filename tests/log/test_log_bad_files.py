@@ -48,15 +48,6 @@ def test_truncated_file(tmp_path: Path, suffix: str, kind: str, keep: float) -> 
     refused(path, f"must be a complete {kind} file")
 
 
-def test_damaged_parquet_page(tmp_path: Path) -> None:
-    path = tmp_path / "log.parquet"
-    write_log(stage_arrays(), path)
-    data = bytearray(path.read_bytes())
-    data[200:4000] = bytes(3800)
-    path.write_bytes(bytes(data))
-    refused(path, "must be a complete Parquet file")
-
-
 def test_unknown_suffix_and_format(tmp_path: Path) -> None:
     path = tmp_path / "log.xyz"
     path.write_text("x_ref_m\n1\n")

@@ -12,7 +12,7 @@ from log_samples import one_sentence, stage_arrays
 
 from hallsym.errors import InputError
 from hallsym.families.recording import corrected, read_correction
-from hallsym.log import Fault, Log, Span, check_log, clean_log, read_log, spans, usable, write_log
+from hallsym.log import Fault, Log, check_log, clean_log, read_log, usable, write_log
 
 Arrays = dict[str, np.ndarray]
 Change = Callable[[Arrays], object]
@@ -224,21 +224,6 @@ def test_drop_bad_while_reading(tmp_path: Path) -> None:
     log = read_log(tmp_path, drop_bad=True)
     assert (log.rows, sum(len(block.data["t_s"]) for block in log.blocks())) == (1599, 1599)
     assert "left out" in log.notes[0]
-
-
-def test_spans_agree_with_numpy() -> None:
-    arrays = stage_arrays(runs=3, samples=1000)
-    arrays["x_ref_m"] += 1.0  # an offset a thousand times the motion must not cost digits
-    found = spans(Log.from_arrays(arrays))
-    for name in ("x_ref_m", "hall_a_m", "z_m"):
-        for run in (0, 1, 2):
-            values = arrays[name][arrays["run"] == run]
-            span = Span(*found.by_run[name][:, run])
-            assert (span.min, span.max) == (values.min(), values.max())
-            assert span.mean == pytest.approx(values.mean(), rel=1e-12, abs=1e-15)
-            assert span.std == pytest.approx(values.std(), rel=1e-9)
-        assert found.overall[name].std == pytest.approx(arrays[name].std(), rel=1e-9)
-    assert found.samples == {0: 1000, 1: 1000, 2: 1000}
 
 
 def test_a_noise_free_axis_that_rests_in_two_runs_of_three_repeats_nothing():

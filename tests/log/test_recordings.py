@@ -6,8 +6,8 @@
 from __future__ import annotations
 
 import pytest
-from recording_scores import correction, judged, rates, same, told
-from recordings import FAMILIES, KINDS, Size, cases, healthy_cases, mistaken
+from recording_scores import judged, rates, same, told
+from recordings import FAMILIES, Size, cases, healthy_cases, mistaken
 
 SEED = 4
 SMALL = Size(16, 100, 4e-3)
@@ -16,26 +16,6 @@ QUICK = tuple(family for family in FAMILIES if family != "planar")
 """A fit of the planar mover takes a second or more."""
 EVERY = 23
 """One of so many cases is taken: no divisor of the number of families."""
-
-
-def test_there_are_many_kinds_and_each_family_has_some() -> None:
-    drawn = cases(SEED)
-    assert len(KINDS) >= 60
-    assert len(drawn) >= 200
-    assert len(healthy_cases(SEED, 2)) >= 300
-    assert {family for _, family, _ in drawn} == set(FAMILIES)
-
-
-@pytest.mark.parametrize("family", FAMILIES)
-def test_the_same_seed_makes_the_same_mistake_and_its_corrections_can_be_read(family: str) -> None:
-    for kind, own, seed in [case for case in cases(SEED) if case[1] == family][::9]:
-        one, two = mistaken(kind, own, seed), mistaken(kind, own, seed)
-        assert one.right == two.right
-        changed = [c for c, x in one.recording.arrays.items() if (x != two.recording.arrays[c]).any()]
-        assert changed == []
-        for text in one.right:
-            assert correction(text).name
-            assert same(text, text, one.recording)
 
 
 def test_corrections_are_compared_by_what_they_do() -> None:
