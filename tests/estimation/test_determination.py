@@ -7,7 +7,6 @@ from twins import SIGMAS, TRUTH, combinations_of_effects, cost_on, phi, record, 
 from hallsym.estimation import fit
 from hallsym.estimation.identifiable import (
     determine,
-    linear_combinations,
     scales,
     structural_null,
     structural_rank,
@@ -151,16 +150,6 @@ def test_a_fixed_parameter_is_held_and_is_no_null_direction():
     assert {"theta_A", "H1y"} <= held
     assert "H1x" not in held
     assert len(held) == 4
-
-
-def test_linear_combinations_are_what_null_directions_leave():
-    """Two parameters of which only p + 2 q is known; r is known itself and takes no part."""
-    scale, none = np.ones(3), np.zeros((3, 0))
-    null, among = np.array([[2.0], [-1.0], [0.0]]) / np.sqrt(5), np.array([0, 1])
-    (one,) = linear_combinations(scale, null, none, among)
-    assert np.allclose(one / one[0], [1.0, 2.0, 0.0], atol=1e-12)
-    assert linear_combinations(scale, null, one[:, None], among) == []
-    assert linear_combinations(scale, none, none, among[:0]) == []
 
 
 @pytest.mark.parametrize(("name", "added"), combinations_of_effects(), ids=str)

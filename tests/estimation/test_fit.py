@@ -235,16 +235,6 @@ def test_unknown_options_are_refused(log, options, said):
 # -- outliers --------------------------------------------------------------------------------------------
 
 
-def test_ten_per_cent_of_gross_outliers_everywhere_do_no_harm():
-    """Every reading and reference is off by up to 1 mm in a tenth of its samples: half of all are hit."""
-    log = with_noise(record(seed=21, samples=100, outlier_share=0.1, outlier_size=1e-3))
-    result = fit(log, "stage31", solver="direct")
-    error = deviations(result)
-    assert len(error) == 18
-    assert max(map(abs, error.values())) < 4.0
-    assert any("isolated spikes" in note for note in result.notes)
-
-
 def test_clean_logs_lose_no_sample(log, found):
     assert not any("spike" in note for note in found.notes)
     rejected = fit(log, "stage31", solver="direct", loss="reject")

@@ -18,7 +18,7 @@ from hallsym.estimation.decoding import error_tables
 from hallsym.estimation.evaluate import judged
 from hallsym.estimation.factors import exact, summarise_at
 from hallsym.estimation.likelihood import cost_near, cost_of, offsets_of
-from hallsym.families import adapted, build, effects
+from hallsym.families import build, effects
 from hallsym.families.faults import FAULTS
 from hallsym.families.mechanisms import nonlinearity, port, stop_state, travel
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
@@ -136,20 +136,6 @@ def test_models_without_summaries_are_told_apart() -> None:
 
 
 # -- text of an effect -------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("text", TEXTS)
-def test_an_effect_is_built_again_from_its_text(text: str) -> None:
-    base = build("stage30" if text == "vertical_gain_coupling" else "stage31")
-    wide = adapted(base, (text,), {})
-    (new,) = [e for e in wide.effects if e not in base.effects]
-    assert wide.texts[new] == text
-    again = build(base.name, added=(wide.texts[new],))
-    assert (again.names, again.state) == (wide.names, wide.state)
-    rng = np.random.default_rng(0)
-    p = wide.nominal + 1e-3 * rng.standard_normal(len(wide.names))
-    at = [1e-4 * rng.standard_normal(len(c)) for c in (wide.offsets, wide.pose, wide.state)]
-    assert np.array_equal(np.asarray(wide.reading(p, *at)), np.asarray(again.reading(p, *at)))
 
 
 def test_every_fault_has_a_remedy() -> None:

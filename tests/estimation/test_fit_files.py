@@ -1,7 +1,5 @@
 """Calibrations in files: what is saved comes back, and what is not hallsym's is refused."""
 
-import json
-
 import numpy as np
 import pytest
 from msgspec.structs import fields
@@ -63,17 +61,6 @@ def test_saving_and_loading_keeps_every_field(rich, tmp_path):
     )  # fmt: skip
 
 
-def test_json_has_no_nan(rich, tmp_path):
-    rich.save(tmp_path / "calib.json")
-    text = (tmp_path / "calib.json").read_text(encoding="utf-8")
-
-    def never(name):
-        raise AssertionError(f"{name} in JSON")
-
-    raw = json.loads(text, parse_constant=never)
-    assert raw["parameters"]["theta_C"]["std"] is None
-
-
 @pytest.mark.parametrize(
     "text",
     [
@@ -90,21 +77,6 @@ def test_foreign_files_are_refused(tmp_path, text):
     path.write_text(text, encoding="latin-1")
     with pytest.raises(InputError):
         load_fit(path)
-
-
-def test_files_with_one_field_missing_or_wrong_are_refused(rich, tmp_path):
-    whole = rich.to_dict()
-    path = tmp_path / "calib.json"
-    for key in whole:
-        for value in ("absent", None, 3, "text", [1]):
-            raw = {k: v for k, v in whole.items() if k != key} if value == "absent" else {**whole, key: value}
-            path.write_text(json.dumps(raw), encoding="utf-8")
-            try:
-                load_fit(path)
-            except InputError:
-                continue
-            except Exception as error:
-                pytest.fail(f"{key} = {value!r} raises {error!r}")
 
 
 def test_a_missing_file_is_refused(tmp_path):

@@ -217,12 +217,6 @@ def test_one_run_counts_although_the_whole_does_not():
     assert found.worst_run == 12
 
 
-@pytest.mark.parametrize("model", ["stage31", "rotary_meng"])
-def test_bundled_logs_are_described_by_their_models(model):
-    name = {"stage31": "campaign", "rotary_meng": "encoder"}[model]
-    assert fit(read_log(ROOT / "data" / name), model, solver="direct").goodness.sentence is None
-
-
 @pytest.mark.parametrize("logs", [10, pytest.param(300, marks=pytest.mark.slow)], ids=["few", "many"])
 def test_simulated_logs_without_a_mistake_raise_no_alarm(logs):
     """At most 1 % of them; correlated noise, Student's noise and a coarse converter among them."""

@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from twins import COLUMNS, HALL, TRUTH, campaign, phi, record, with_noise
+from twins import HALL
 
-from hallsym.estimation.decoding import residuals
 from hallsym.estimation.outliers import column_spikes, reject_spikes, tukey
-from hallsym.families.stage.models import stage31
-from hallsym.log import Block, remembered
+from hallsym.log import Block
 
 SIGMA = 1e-6
 COVARIANCE = np.eye(3) * SIGMA**2
@@ -33,22 +31,6 @@ def noise(seed: int, n: int = 400) -> np.ndarray:
     return SIGMA * np.random.default_rng(seed).standard_normal((3, n))
 
 
-def test_residuals_of_the_truth_are_nothing():
-    model = stage31()
-    log = with_noise(record(seed=0, samples=20, sigma={}))
-    zeros = {
-        k: np.array(run.offsets) / phi(TRUTH, np.array([run.setting[c] for c in COLUMNS[3:]]))
-        for k, run in enumerate(campaign(20).runs)
-    }
-    residual = residuals(model, model.vector(TRUTH), zeros)
-    for one in log.blocks():
-        assert np.abs(residual(one)).max() <= 1e-18
-    # a run without zeros of its own has none
-    first = next(iter(log.blocks()))
-    expected = [0.87e-6, 0.52e-6, 0.26e-6] * phi(TRUTH, np.zeros(3)) / phi(TRUTH, np.zeros(3))
-    assert np.allclose(residuals(model, model.vector(TRUTH), {})(first).T, expected, rtol=1e-9)
-
-
 @settings(max_examples=25)
 @given(seeds, st.lists(st.integers(10, 389), min_size=1, max_size=12, unique=True), st.floats(20, 1e4))
 def test_isolated_spikes_go_and_nothing_else(seed, where, size):
@@ -60,11 +42,6 @@ def test_isolated_spikes_go_and_nothing_else(seed, where, size):
     expected = np.ones(400)
     expected[where] = 0.0
     assert np.array_equal(spikes()(block(r)), expected)
-
-
-def test_gaussian_noise_is_kept_whole():
-    kept = [spikes()(block(noise(seed, 2000))).min() for seed in range(30)]
-    assert min(kept) == 1.0
 
 
 @settings(max_examples=20)
@@ -196,24 +173,6 @@ def test_columns_alone_show_most_spikes_and_accuse_few_good_samples(seed, share)
     weight = column_spikes(("x",))(Block(0, {"x": x, "y": np.zeros(n)}))
     assert np.mean(weight[~hit]) > 0.9  # at a share of .1 every third good sample has a bad neighbour
     assert np.mean(weight[hit]) < 0.03 if hit.any() else True
-
-
-def test_weights_are_remembered_for_the_same_numbers_only():
-    """A periodic log has many blocks of one length that begin alike."""
-    asked = []
-
-    def weigh(b: Block) -> np.ndarray:
-        asked.append(b)
-        return (b.data["x"] < 1).astype(float)
-
-    once = remembered(weigh, 100, ("x",))
-    x, other = np.zeros(5), np.array([0.0, 0, 2, 0, 0])
-    for _ in range(2):
-        assert once(Block(0, {"x": x, "y": x})).tolist() == [1, 1, 1, 1, 1]
-        assert once(Block(0, {"y": other, "x": x.copy()})).tolist() == [1, 1, 1, 1, 1]
-        assert once(Block(0, {"x": other})).tolist() == [1, 1, 0, 1, 1]
-        assert once(Block(1, {"x": x})).tolist() == [1, 1, 1, 1, 1]
-    assert len(asked) == 3
 
 
 def test_runs_too_short_to_judge_are_kept():

@@ -32,24 +32,6 @@ def value(summary: RunStatistics, p: np.ndarray, sigma=EXACT_STATE) -> float:
     return cost_of(summary, sigma).at(p).value
 
 
-def gram(summary: RunStatistics) -> np.ndarray:
-    return np.swapaxes(summary.triangles, 1, 2) @ summary.triangles
-
-
-def test_triangles_are_triangular_and_hold_the_gram_matrix(log, model):
-    summary = summarise(log, model)
-    assert np.array_equal(summary.triangles, np.triu(summary.triangles))
-    run = log.run(summary.runs[4])
-    (values,) = summary.features.values(
-        [run[c] for c in model.references], [run[c] for c in model.state], summary.centre
-    )
-    rows = np.vstack([values, [run[c] for c in model.channels]]).T
-    assert np.allclose(gram(summary)[4], rows.T @ rows, rtol=1e-12, atol=1e-12 * 1e-8)
-    assert summary.counts[4] == len(rows)
-    assert np.allclose(summary.first_state[4], [run[c][0] for c in model.state], rtol=0, atol=0)
-    assert np.allclose(summary.mean_state[4], [run[c].mean() for c in model.state], rtol=1e-12)
-
-
 @settings(max_examples=5)
 @given(st.lists(st.integers(4, 60), min_size=1, max_size=3))
 def test_block_size_does_not_matter(log, model, sizes):

@@ -35,17 +35,6 @@ def test_white_noise_of_the_stated_size_is_believed():
     assert np.array_equal(np.isnan(found.std), ~found.determined)
 
 
-def test_lever_arms_come_with_value_and_uncertainty():
-    p, found = one(5)
-    assert len(found.combinations) == 3
-    v = dict(zip(MODEL.names, p.tolist(), strict=True))
-    for combination, arm, true in zip(found.combinations, pm(v)[:, 2], pm(TRUTH)[:, 2], strict=True):
-        assert combination.value == pytest.approx(arm, rel=1e-12)
-        assert combination.unit == "m"
-        assert abs(combination.value - true) < 4.5 * combination.std
-        assert 1e-5 < combination.std < 1e-3
-
-
 def test_correlated_noise_makes_runs_the_blocks():
     _, found = one(6, correlation_s=0.1)
     assert found.method == "runs as blocks"
