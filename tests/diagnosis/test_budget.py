@@ -23,6 +23,7 @@ def test_no_budget_is_a_valid_diagnosis_of_the_first_pass() -> None:
     assert json.loads(json.dumps(found.to_dict(), allow_nan=False))["verdict"] == found.verdict
 
 
+@pytest.mark.slow
 def test_the_search_ends_where_the_clock_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     """The clock jumps once an effect was found: it is kept, and no other is sought."""
     now, grow = [0.0], Selection.step
@@ -40,6 +41,7 @@ def test_the_search_ends_where_the_clock_says_so(monkeypatch: pytest.MonkeyPatch
     assert sum("The search stopped after 50 s" in n for n in found.notes) == 1
 
 
+@pytest.mark.slow
 def test_a_search_that_is_done_in_time_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(preparing, "perf_counter", lambda: 0.0)
     found = diagnose(read_log(CAMPAIGN), "stage31", budget=1)

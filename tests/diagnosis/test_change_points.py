@@ -34,7 +34,7 @@ def noise(rng: np.random.Generator, memory: float) -> np.ndarray:
     return lfilter([np.sqrt(1 - a * a)], [1, -a], rng.standard_normal((1, RUNS * SAMPLES)), axis=1)
 
 
-@pytest.mark.parametrize("memory", [0.1, 3.0, 10.0])
+@pytest.mark.parametrize("memory", [3.0, *(pytest.param(m, marks=pytest.mark.slow) for m in (0.1, 10.0))])
 def test_steps_of_noise_are_as_rare_as_their_p_values(memory: float) -> None:
     """400 logs: a share of 5 % has a standard deviation of 1.1 %."""
     rng = np.random.default_rng(7)

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from gap_twins import faulty, listed, machine, unlisted
-from scipy.optimize import lsq_linear
 from twins import record, with_noise
 
 import hallsym
@@ -14,7 +13,7 @@ from hallsym.diagnosis.curves import lack_of_fit
 from hallsym.diagnosis.facts import instants, rails_of, steps
 from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.p_values import beyond, statistic_at
-from hallsym.diagnosis.refit import inside_bounds, refit, with_model
+from hallsym.diagnosis.refit import refit, with_model
 from hallsym.diagnosis.residual_table import residual_table
 from hallsym.diagnosis.setup import base_of
 from hallsym.families import effects
@@ -247,21 +246,6 @@ def test_structure_sees_a_curve_and_the_runs_gains_and_nothing_in_noise(quiet: t
     assert own.shapes[0].name == "gain of its own"
 
 
-def test_a_step_inside_bounds_is_the_least_squares_solution_there() -> None:
-    rng = np.random.default_rng(4)
-    base = fitted(machine("multisine", seed=5, thin=24))
-    n = len(base.free)
-    A, b = rng.standard_normal((80, n)), rng.standard_normal(80)
-    narrow = {name: {"lower": base.p[k] - 0.05, "upper": base.p[k] + 0.05, "nominal": base.p[k]}
-              for k, name in enumerate(base.model.names)}  # fmt: skip
-    base = replace(base, model=base.model.with_parameters(narrow))
-    stacked = np.column_stack([A, b])
-    step = inside_bounds(base, stacked.T @ stacked)
-    exact = lsq_linear(A, b, (-0.05, 0.05), method="bvls")
-    assert np.abs(step).max() <= 0.05 + 1e-12
-    assert np.sum((A @ step - b) ** 2) <= 1.02 * 2 * exact.cost
-
-
 @pytest.mark.slow
 def test_the_instant_of_a_slip_is_found_without_held_out_runs() -> None:
     log = hidden("mount_slip", "grid", thin=8)
@@ -292,18 +276,6 @@ def test_rails_are_where_readings_repeat() -> None:
     data = {c: log.array(c) for c in log.columns} | {"hall_a_m": np.minimum(log.array("hall_a_m"), top)}
     rails = rails_of(np.array([data[c] for c in hallsym.build("stage31").channels]), POLICY)
     assert rails == ((-np.inf, top), (-np.inf, np.inf), (-np.inf, np.inf))
-
-
-@pytest.mark.parametrize("name", ["cross_axis_sensitivity", "reference_abbe_error"])
-def test_a_calibration_with_an_effect_of_the_catalogue_saves_and_loads(name: str, tmp_path, quiet) -> None:
-    result = hallsym.fit(quiet[0], "stage31", effects=[name], solver="direct")
-    result.save(tmp_path / "calib.json")
-    again = hallsym.load_fit(tmp_path / "calib.json")
-    assert again.model.effects == (*hallsym.build("stage31").effects, name)
-    assert np.array_equal(again.values, result.values)
-    pose, state, zeros = [1e-4, -2e-4, 3e-4], [1e-5, 2e-5, -3e-5], [0.0] * 3
-    readings = [np.asarray(m.reading(result.values, zeros, pose, state)) for m in (result.model, again.model)]
-    assert np.array_equal(*readings)
 
 
 def test_the_window_of_a_rate_is_as_wide_as_the_motion_allows() -> None:

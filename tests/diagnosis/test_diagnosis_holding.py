@@ -158,7 +158,8 @@ def test_runs_that_are_left_out_are_not_chosen_to_judge():
         assert not set(setup.holdout) & set(log.runs[2::5])
 
 
-@pytest.mark.parametrize("seed", [pytest.param(s, marks=[pytest.mark.slow] if s else []) for s in range(4)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
 def test_a_record_says_what_its_numbers_say(seed):
     """Knots with steps, slow errors and waves of any size: nothing is named that may do nothing."""
     rng = np.random.default_rng(seed)

@@ -7,7 +7,6 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 
 from hallsym.diagnosis import POLICY, diagnose, prepare
-from hallsym.diagnosis.curves import others
 from hallsym.diagnosis.setup import split
 from hallsym.errors import InputError
 from hallsym.estimation import fit
@@ -215,16 +214,6 @@ def test_a_measured_line_is_held_out_in_stretches():
         assert any("stretches of" in note for note in found.notes)
         low, high = found.shrinkage.interval or (0.0, 1.0)
         assert high - low > 0.2
-
-
-def test_all_folds_but_one_leave_nothing_where_nothing_is():
-    """Against the plain sum; where only the fold that is left out has anything, exactly 0 stays."""
-    folds = np.random.default_rng(0).normal(size=(13, 4, 4)) * 1e6
-    folds[:, 2, 2] = 0.0
-    folds[5, 2, 2] = 0.1
-    for k, rest in enumerate(others(folds)):
-        assert np.allclose(rest, np.delete(folds, k, axis=0).sum(axis=0))
-    assert others(folds)[5, 2, 2] == 0.0
 
 
 def test_a_table_too_short_to_diagnose_is_refused_without_a_word_on_runs():

@@ -14,7 +14,7 @@ from twins import SIGMAS, record
 
 import hallsym
 from hallsym.diagnosis import POLICY, Base
-from hallsym.diagnosis.curves import Coordinate, FineMap, Smooth, hats, knots, run_gains
+from hallsym.diagnosis.curves import Coordinate, FineMap, Smooth, run_gains
 from hallsym.diagnosis.localisation import Located, located, shape
 from hallsym.diagnosis.report import unexplained
 from hallsym.diagnosis.residual_table import ResidualTable, spectrum
@@ -240,18 +240,6 @@ def test_a_gain_of_every_run_is_told_from_noise() -> None:
     assert r.metric(noise + gains * r.sensed - foreseen) < 1.05 * r.metric(noise)
 
 
-def test_fitters_keep_no_features_of_all_samples() -> None:
-    """Those of all coordinates together were 150 MB of 60,000 samples."""
-    rng = np.random.default_rng(5)
-    r = made_up(rng.standard_normal((1, 60_000)), rng.uniform(-1, 1, 60_000))
-    fitter = Smooth(r, Z, Z.values(r))
-    fitter.curve(r.residual)
-    grams, rests = fitter.products
-    arrays = [*vars(fitter).values(), grams, *rests]
-    sizes = [a.size for a in arrays if isinstance(a, np.ndarray) and a is not fitter.values]
-    assert sum(sizes) < r.residual.size
-
-
 @pytest.mark.parametrize("make", [pytest.param(Smooth, marks=pytest.mark.slow), FineMap])
 def test_p_values_of_noise_are_spread_evenly(make) -> None:
     """Blocks with noise of very different size and with memory: never smaller than they should be.
@@ -269,14 +257,3 @@ def test_p_values_of_noise_are_spread_evenly(make) -> None:
     assert 0.15 < np.mean(np.array(p) < 0.5) < 0.6
     assert np.mean(np.array(p) < 0.1) < 0.16
     assert np.mean(np.array(p) < 0.01) < 0.04
-
-
-@settings(deadline=None)
-@given(st.integers(0, 2**31), st.floats(1e-9, 1e3))
-def test_hats_add_up_to_one_and_reproduce_lines(seed: int, size: float) -> None:
-    x = size * np.random.default_rng(seed).standard_normal(200)
-    at = knots(x)
-    assert (np.diff(at) > 0).all()
-    (phi,) = hats(x[None], at)
-    np.testing.assert_allclose(phi.sum(axis=0), 1.0)
-    np.testing.assert_allclose(at @ phi, x, atol=1e-9 * size)

@@ -25,7 +25,9 @@ def stated_as(log: Log, factor: float) -> Log:
     )
 
 
-@pytest.mark.parametrize(("noise", "white"), [("white", True), ("correlated", False)])
+@pytest.mark.parametrize(
+    ("noise", "white"), [("white", True), pytest.param("correlated", False, marks=pytest.mark.slow)]
+)
 def test_noise_larger_than_stated_is_told_as_such(noise: str, white: bool) -> None:
     d = diagnose(stated_as(quiet(noise=noise), 1 / 1.4))
     assert d.verdict == LARGER

@@ -89,6 +89,7 @@ def test_recordings_whose_error_repeats_are_never_without_a_gap(folder: str) -> 
         assert d.verdict in ("explained", "unexplained"), file.name
 
 
+@pytest.mark.slow
 def test_the_floor_is_that_of_the_runs_that_judge() -> None:
     """Noise moves the pose of a magnet array by more at a wider gap than that of the fitted runs."""
     gaps = (0.0042, 0.0052, 0.0072, 0.0042, 0.0052, 0.0046)

@@ -18,7 +18,7 @@ import hallsym
 from hallsym.diagnosis import POLICY, diagnose
 from hallsym.diagnosis.measurement_error import shared_noise
 from hallsym.diagnosis.normal_equations import normal_equations
-from hallsym.diagnosis.p_values import Joint, SignFlips, clusters, memory, searched, stretch
+from hallsym.diagnosis.p_values import Joint, SignFlips, clusters, searched
 from hallsym.diagnosis.scores import candidates
 from hallsym.diagnosis.setup import base_of
 from hallsym.families import effects
@@ -115,17 +115,6 @@ def test_numbers_that_were_searched_count():
     assert searched(z, 100)[0] == pytest.approx(stats.norm.isf(1 - (1 - stats.norm.sf(3.0)) ** 100))
     assert searched(np.append(30.0, z), 1e6)[0] == pytest.approx(stats.norm.isf(1e6 * stats.norm.sf(30.0)))
     assert np.isfinite(searched(np.append(50.0, z), 1e6)[0])
-
-
-def test_few_runs_are_cut_into_stretches():
-    assert stretch(24_000, 24, POLICY) is None
-    assert stretch(8000, 8, POLICY) == 334  # three stretches of each of eight runs of 1000 samples
-
-
-def test_the_memory_of_a_residual_ends_where_it_is_uncorrelated():
-    lags = np.arange(64)
-    assert memory(0.9**lags, POLICY) == 38  # 2 %
-    assert memory(0.99**lags, POLICY) == np.inf  # no end is seen
 
 
 def test_parts_of_a_run_that_are_four_memories_long_scatter_by_themselves():

@@ -6,7 +6,6 @@ import pytest
 import hallsym
 from hallsym.diagnosis import POLICY
 from hallsym.diagnosis.curves import lack_of_fit
-from hallsym.diagnosis.faults import faults, of_samples
 from hallsym.diagnosis.setup import base_of, split
 from hallsym.diagnosis.survey import Survey, memory_of_recording, survey
 from hallsym.log import Log, Noise
@@ -91,29 +90,3 @@ def test_a_tone_is_a_line_that_is_no_drift(hz, seen):
     log = encoder(samples=1024, turned=lambda t: 0.5 * SIGMA * np.sin(2 * np.pi * hz * t))
     found = lack_of_fit(based(log), log.runs)
     assert (found.tones > 0.01) == seen
-
-
-@pytest.mark.parametrize(("memory", "names"), [(0.0, ["clock_jitter"]), (0.75, [])])
-def test_time_shifts_that_neighbours_share_are_no_jitter(memory, names):
-    shift = np.random.default_rng(2).standard_normal(RUNS * 2000)
-    for k in range(1, len(shift)):
-        shift[k] = memory * shift[k - 1] + np.sqrt(1 - memory**2) * shift[k]
-    log = encoder(samples=2000, turned=lambda t: 1e-3 * SPEEDS[np.arange(len(t)) // 2000] * shift)
-    base = based(log)
-    assert [f.name for f in faults(base, survey(base, frozenset(log.runs)), 30)] == names
-
-
-def test_heavy_tails_are_no_spikes_and_spikes_are():
-    def heavy(rng, n):
-        return SIGMA * rng.standard_t(3, (2, n)) / np.sqrt(3)
-
-    def spiky(rng, n):
-        return SIGMA * (rng.standard_normal((2, n)) + 12 * (rng.random((2, n)) < 0.003))
-
-    for seed in range(4):
-        seen = of_samples(surveyed(encoder(noise=heavy, samples=2000, seed=seed)), POLICY)
-        assert min(f.p_value for f in seen) > 0.01
-    base = based(encoder(noise=spiky, samples=2000))
-    (found,) = faults(base, survey(base, frozenset(base.log.runs)), 30)
-    assert found.name == "outliers"
-    assert found.parameters["share"].value == pytest.approx(0.006, rel=0.6)
