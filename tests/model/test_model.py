@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from hallsym.errors import InputError
-from hallsym.families import build
 from hallsym.families.stage.models import stage15, stage31, zero_deviation
 from hallsym.model import LINKS, Parameter
 
@@ -56,15 +55,6 @@ def test_unknown_link_and_taken_parameter_are_refused():
         stage15().with_step("field", None, effect="x", parameters=(Parameter("H1x", 0, 0, 1, "m"),))
 
 
-def test_vectors_put_values_over_nominal_ones():
-    model = stage15()
-    p = model.vector({"eta_B": 0.7})
-    assert p[model.names.index("eta_B")] == 0.7
-    assert np.array_equal(
-        np.delete(p, model.names.index("eta_B")), np.delete(model.nominal, model.names.index("eta_B"))
-    )
-
-
 def test_bounds_and_nominal_values_change_by_name():
     model = stage31().with_parameters(
         {"H1x": {"nominal": 0.2, "lower": 0.1, "upper": 0.3}, "delta_A": {"upper": 5e-5}}
@@ -82,20 +72,6 @@ def test_bounds_and_nominal_values_change_by_name():
 def test_crossed_bounds_of_a_zero_deviation_are_refused():
     with pytest.raises(InputError, match="delta_A"):
         stage31().with_parameters({"delta_A": {"lower": 1e-6, "upper": -1e-6}})
-
-
-def test_fixed_is_equal_bounds_at_the_nominal_value():
-    model = build("stage15", parameters={"theta_A": {"fixed": True}, "H1x": {"fixed": True, "nominal": 0.21}})
-    for name, value in {"theta_A": 0.0, "H1x": 0.21}.items():
-        k = model.names.index(name)
-        assert (model.nominal[k], model.bounds[0][k], model.bounds[1][k]) == (value,) * 3
-
-
-def test_bounds_that_exclude_the_start_are_refused():
-    with pytest.raises(InputError, match="exclude its start"):
-        build("stage15", parameters={"H1x": {"lower": 0.2}})
-    model = build("stage15", parameters={"H1x": {"lower": 0.2, "nominal": 0.22}})
-    assert model.nominal[0] == 0.22
 
 
 def test_derived_quantities_are_made_once_and_replaced_by_what_they_stand_for():
