@@ -62,10 +62,6 @@ def test_a_result_shows_itself(results: dict[str, Any], kind: str, tmp_path: Pat
     assert json.loads((tmp_path / "a.json").read_text()) == json.loads(json.dumps(result.to_dict()))
 
 
-def test_the_summary_is_what_the_command_prints(fit: hallsym.Fit) -> None:
-    assert fit.to_dataframe().set_index("parameter")["value"]["eta_A"] == fit.value("eta_A")
-
-
 def test_pages_of_results(results: dict[str, Any], columns: dict[str, np.ndarray], tmp_path: Path) -> None:
     fit = results["Fit"]
     path = hallsym.report(fit, tmp_path / "fit.html")
@@ -128,21 +124,6 @@ def test_a_frame_may_state_units_in_its_names(columns: dict[str, np.ndarray], fi
 def test_what_is_no_table_is_refused(data: Any, says: str) -> None:
     with pytest.raises(InputError, match=says):
         hallsym.fit(data, "stage31")
-
-
-def test_help_lists_columns_units_results_and_an_example() -> None:
-    text = hallsym.fit.__doc__ or ""
-    for word in (
-        "hall_a_m",
-        "x_ref_m",
-        "v_sin_v",
-        "x_ref [um]",
-        "std",
-        "errors.rows()",
-        ">>> fit =",
-        "polars",
-    ):
-        assert word in text, word
 
 
 def test_importing_hallsym_loads_no_library() -> None:

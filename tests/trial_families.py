@@ -207,7 +207,6 @@ ARRAY = Family(
 
 # -- (b) six coordinates: two arrays over twelve sensors ----------------------------------------------------
 
-CORNERS = [(j, k) for j in range(4) for k in range(4)]
 PLACES = [(k * LENGTH / 3, side) for side in (-0.02, 0.02) for k in range(3)]
 """Place of a sensor along and across the array that it sees [m]."""
 

@@ -43,10 +43,6 @@ def columns(at: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
     return np.array([at[c] for c in POSE]), np.array([at[c] for c in STATE])
 
 
-def variance(at: dict[str, float], settings: Settings, known: Fit | None = None) -> np.ndarray:
-    return np.array([b.std**2 for b in position_budget(known or fitted(), at, settings).values()])
-
-
 # -- slopes ----------------------------------------------------------------------------------------------
 
 
@@ -78,13 +74,6 @@ def test_slopes_are_those_of_the_papers_equation_with_a_reset():
             paper_position({**values, name: values[name] + sign * step}, *given_.values()) for sign in (1, -1)
         )
         assert np.allclose(found.parameters[0, :, k], (up - down) / (2 * step), rtol=1e-5, atol=1e-10), name
-
-
-@pytest.mark.parametrize("name", ["stage30", "stage31", "stage31_tied"])
-def test_an_error_of_the_pose_at_the_zeroing_shifts_every_position_alike(name):
-    q, s = columns(SOMEWHERE)
-    found = slopes(fitted(name), q[:, None], s[:, None], EVERYTHING)
-    assert np.allclose(found.places["zero pose"][0], np.eye(3), atol=1e-9)
 
 
 def test_at_the_pose_of_the_zeroing_nothing_but_the_zeroing_counts():

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from twins import pm
 
 from hallsym.families import build
-from hallsym.families.stage import models as stage
 from hallsym.simulation import paper_campaign
 from hallsym.uncertainty import tolerances as study
 from hallsym.uncertainty.ranges import given_tolerances
@@ -133,19 +132,6 @@ def test_errors_are_those_of_the_articles_matrix(model):
 
 
 # -- symmetry, limits, scaling ---------------------------------------------------------------------------
-
-
-def test_mirrored_probes_are_worth_the_same():
-    layout = (
-        stage.Probe("hall_a_m", (0.2, 0.4), (0.0, 1.0)),
-        stage.Probe("hall_b_m", (-0.2, 0.4), (0.0, 1.0)),
-        stage.Probe("hall_c_m", (0.0, 0.36), (1.0, 0.0)),
-    )
-    found = tolerances(stage.stage15(layout), samples=256, seed=2)
-    for a, b in (("eta_A", "eta_B"), ("theta_A", "theta_B"), ("H1x", "H2x"), ("H1y", "H2y")):
-        i, j = found.active.index(a), found.active.index(b)
-        for indices in found.indices.values():
-            assert abs(indices.total[i] - indices.total[j]) <= indices.total_half[i] + indices.total_half[j]
 
 
 def test_what_no_reading_sees_has_no_index(model, somewhere):
