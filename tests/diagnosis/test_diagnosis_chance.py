@@ -9,12 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from gap_twins import faulty, machine
+from scipy import stats
 from test_stacked_products import whitened
 
 import hallsym
 from hallsym.diagnosis import POLICY, Base
-from hallsym.diagnosis.faults import assignment_p, assignments, faults, of_samples
+from hallsym.diagnosis.faults import assignment_p, assignments, exceeds, faults, of_samples
 from hallsym.diagnosis.normal_equations import Columns, normal_equations
+from hallsym.diagnosis.p_values import as_often
 from hallsym.diagnosis.scores import candidates
 from hallsym.diagnosis.setup import base_of
 from hallsym.diagnosis.survey import Survey, survey
@@ -40,6 +42,22 @@ def fitted(log: Log) -> Base:
 @pytest.fixture(scope="module")
 def quiet() -> Base:
     return fitted(machine("multisine", seed=5, thin=6))
+
+
+def test_probabilities_are_those_of_scipy() -> None:
+    assert as_often(9, 12, 0.3) == pytest.approx(stats.binom.sf(8, 12, 0.3))
+    assert as_often(0, 5, 0.5) == 1.0
+
+
+@pytest.mark.parametrize("weight", [4, 8, 30])
+def test_tails_follow_from_the_body_of_heavy_noise(weight: int) -> None:
+    rng = np.random.default_rng(weight)
+    values = 2 * rng.f(2, weight, 100_000)
+    limit = 2 * stats.f.isf(1e-4, 2, weight)
+    white = rng.chisquare(2, 100_000)
+    assert 1e-4 < exceeds(values, 2, limit, white) < 2e-4  # at the upper end of what the body says
+    gaussian = rng.chisquare(2, 100_000)
+    assert 1e-4 < exceeds(gaussian, 2, stats.chi2.isf(1e-4, 2), white) < 2e-4
 
 
 @pytest.mark.slow
