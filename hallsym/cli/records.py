@@ -179,6 +179,7 @@ class Sensitivity(TypedDict):
     parameters: dict[str, Record]
     combinations: list[Record]
     structural: NullSpace
+    gauges: list[str]
     practical: NullSpace
     further: list[FurtherReport]
     outputs: dict[str, Output]

@@ -147,7 +147,7 @@ def base_of(log: Log, result: Fit) -> Base:
         p=np.array(result.values, dtype=float),
         offsets=dict(zip(cost.summary.runs, point.offsets, strict=True)),
         covariance=point.covariance.mean(axis=0),
-        free=tuple(k for k, n in enumerate(result.model.names) if n not in result.fixed),
+        free=tuple(k for k, n in enumerate(result.model.names) if n not in result.not_free),
         pose_weights=result.model.family.pose_metric.weights(result.model.pose, log.meta.gap_length_scale_m),
         holdout=frozenset(result.log.holdout),
         sigma=sigma,

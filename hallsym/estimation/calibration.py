@@ -138,6 +138,17 @@ class CombinationEstimate(_Interval, _Record, frozen=True):
     degrees_of_freedom: Positive | None = None
 
 
+class GaugeRecord(_Record, frozen=True):
+    """A factor that no recording shows: `text` says which, and what would determine it.
+
+    The mean of `parameters` is nominal, so that one of them, `dependent`, follows from the others.
+    """
+
+    text: str
+    parameters: tuple[str, ...]
+    dependent: str
+
+
 class CovarianceRecord(_Record, frozen=True):
     """Covariance of the parameters in the order `parameters`, in SI."""
 
@@ -257,6 +268,7 @@ class Fitted(msgspec.Struct, kw_only=True, frozen=True, eq=False, forbid_unknown
     read_with: dict[str, str] = {}
     claims: tuple[Claim, ...] = ()
     logs: tuple[FittedLogRecord, ...] = ()
+    gauges: tuple[GaugeRecord, ...] = ()
 
 
 class Calibration(Fitted, kw_only=True, frozen=True, eq=False):
@@ -277,7 +289,7 @@ class Calibration(Fitted, kw_only=True, frozen=True, eq=False):
     wiring: tuple[tuple[str, int], ...] | None = None
 
 
-_IF_ANY = ("columns", "read_with", "logs")
+_IF_ANY = ("columns", "read_with", "logs", "gauges")
 """Keys that a file has where there is something to say."""
 
 
@@ -379,6 +391,11 @@ class Fit(Shown, Fitted, kw_only=True, frozen=True, eq=False, dict=True, weakref
     def fixed(self) -> tuple[str, ...]:
         """Names of the parameters that stayed at their nominal values."""
         return tuple(n for n in self.model.names if self.parameters[n].held)
+
+    @property
+    def not_free(self) -> tuple[str, ...]:
+        """Names of the parameters that are fixed, or follow from others by a gauge."""
+        return (*self.fixed, *(gauge.dependent for gauge in self.gauges))
 
     @property
     def at_bound(self) -> tuple[str, ...]:

@@ -479,8 +479,8 @@ class Trials:
         if not closely:
             within = read.summary.counts[None] @ read.within / merged.summary.counts[0]
             return Tried(corrections, merged, first, self.model, within, read.log)
-        fixed = list(determine(merged, first).fixed)
-        first[fixed] = np.clip(self.model.nominal, *self.model.bounds)[fixed]
+        found = determine(merged, first)
+        first, fixed = found.begin(self.model, first), found.not_free
         p = refit(merged, first, fixed, CLOSELY, STEPS_TRIED) if len(fixed) < len(first) else first
         cost = cost_of(read.summary, read.noise.std)
         return Tried(corrections, cost, p, self.model, read.within, read.log)

@@ -21,7 +21,13 @@ from scipy.special import chdtri, ndtr
 from hallsym.estimation.calibration import CombinationEstimate
 from hallsym.estimation.factors import solve, unit_scale
 from hallsym.estimation.goodness_of_fit import CERTAIN, GoodnessOfFit, goodness_of
-from hallsym.estimation.identifiable import ROUNDING, UNDETERMINED, Determination, linear_combinations
+from hallsym.estimation.identifiable import (
+    ROUNDING,
+    UNDETERMINED,
+    Determination,
+    linear_combinations,
+    opened,
+)
 from hallsym.estimation.likelihood import Cost, Point
 from hallsym.model import Model
 from hallsym.model.influence import reading_slopes
@@ -174,7 +180,7 @@ BY_RUNS = "runs as blocks"
 class Uncertainty:
     """Uncertainty of every parameter and determined combination; see `Fit` for the fields.
 
-    `degrees_of_freedom`: (n,), infinite where the noise is as stated.
+    `degrees_of_freedom`: (n,), infinite where the noise is as stated. `fitted`: how many numbers were fitted.
     """
 
     std: np.ndarray
@@ -187,6 +193,7 @@ class Uncertainty:
     undetermined_by_log: tuple[str, ...]
     degrees_of_freedom: np.ndarray
     goodness: GoodnessOfFit
+    fitted: int
 
     @property
     def cost_per_dof(self) -> float:
@@ -198,22 +205,27 @@ def uncertainty(point: Point, found: Determination) -> Uncertainty:
     """Return the uncertainties where `point` is the optimum of its cost."""
     cost, p, model = point.cost, point.p, point.cost.summary.model
     at_bound = _at_bound(model.bounds, p, found)
-    free = np.array([k for k in range(len(p)) if k not in found.fixed and k not in at_bound], dtype=int)
-    fit = goodness_of(point, len(free))
+    axes = found.coordinates(at_bound)
+    moving, fitted = axes.moving, len(axes.free)
+    basis = axes.basis(len(p))
+    fit = goodness_of(point, fitted)
     covariance = np.zeros((len(p), len(p)))
     known = _Estimate(covariance, "likelihood", "there was nothing to estimate")
-    if len(free):
-        runs, more = point.information(1.0, free), _excess_noise_of(point, free)
-        scores = 0.5 * point.run_gradients[:, free]
+    if fitted:
+        runs, more = point.information(1.0, moving), _excess_noise_of(point, moving)
+        if len(axes.dependent):
+            own = basis[moving]
+            runs, more = own.T @ runs @ own, None if more is None else own.T @ more @ own
+        scores = 0.5 * axes.slope(point.run_gradients)
         known = _estimate(runs, more, scores, cost.weights, fit)
-        covariance[np.ix_(free, free)] = known.covariance
+        covariance = basis @ known.covariance @ basis.T
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    determined = np.isin(np.arange(len(p)), free) & ~_loose(model.names, std, found)
+    determined = np.isin(np.arange(len(p)), moving) & ~_loose(model.names, std, found)
     dof = np.full(len(p), np.inf)
-    dof[free] = known.degrees_of_freedom(np.eye(len(free)))
+    dof[moving] = known.degrees_of_freedom(basis[moving])
 
     def dof_of(gradient: np.ndarray) -> float | None:
-        of_it = float(known.degrees_of_freedom(gradient[None, free])[0])
+        of_it = float(known.degrees_of_freedom(axes.slope(gradient)[None])[0])
         return of_it if np.isfinite(of_it) else None
 
     combinations, lost = _combinations(cost, p, covariance, found, determined, dof_of)
@@ -229,6 +241,7 @@ def uncertainty(point: Point, found: Determination) -> Uncertainty:
         undetermined_by_log=(*loose, *lost),
         degrees_of_freedom=dof,
         goodness=fit,
+        fitted=fitted,
     )
 
 
@@ -362,7 +375,7 @@ def _at_bound(bounds: tuple[np.ndarray, np.ndarray], p: np.ndarray, found: Deter
     return tuple(
         k
         for k in range(len(p))
-        if k not in found.fixed and min(p[k] - lower[k], upper[k] - p[k]) <= AT_BOUND * found.scale[k]
+        if k not in found.not_free and min(p[k] - lower[k], upper[k] - p[k]) <= AT_BOUND * found.scale[k]
     )
 
 
@@ -396,7 +409,7 @@ def _combinations(
             lost.append(named.expression)
     stacked = np.array(known).T if known else np.zeros((len(p), 0))
     scaled = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    among = np.flatnonzero(_loose(model.names, scaled, found) & (found.scale > 0) & _open(model))
+    among = np.flatnonzero(_loose(model.names, scaled, found) & (found.scale > 0) & opened(model))
     for gradient in linear_combinations(found.scale, found.null, stacked, among):
         gradient = _readable(gradient, found.scale, covariance)
         std = _std(gradient, covariance)
@@ -414,10 +427,6 @@ def _readable(gradient: np.ndarray, scale: np.ndarray, covariance: np.ndarray) -
     small = 0.5 * np.abs(gradient) * scale < 0.25 * _std(gradient, covariance)
     kept = np.where(small, 0.0, gradient)
     return kept / kept[np.flatnonzero(kept)[0]] if kept.any() else gradient
-
-
-def _open(model: Model) -> np.ndarray:
-    return np.array([p.width > 0 for p in model.parameters])
 
 
 def _std(gradient: np.ndarray, covariance: np.ndarray) -> float:

@@ -1,9 +1,11 @@
 """Identifiability: null directions, fixed parameters, identifiable combinations.
 
 Parameters are scaled by the width of their bounds, so "undetermined" has one meaning for all: the standard
-uncertainty of a direction is above a quarter of that width.
+uncertainty of a direction is above a quarter of that width. A factor that no recording shows is no matter of
+chance: where the model states a gauge for it (`Model.gauges`), that fixes it, and no parameter is lost.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -11,7 +13,7 @@ import numpy as np
 import scipy
 
 from hallsym.estimation.likelihood import Coefficients, Cost
-from hallsym.model import Model
+from hallsym.model import Gauge, Model
 from hallsym.model.arrays import on_arrays
 from hallsym.model.features import Features
 
@@ -30,20 +32,87 @@ NIL = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
+class Coordinates:
+    """What is fitted of n parameters: those with index `free` (m,), which `dependent` (d,) follow.
+
+    `follow`: (d, m) slopes of the dependent parameters, by the gauges of the model.
+    """
+
+    free: np.ndarray
+    dependent: np.ndarray
+    follow: np.ndarray
+
+    @staticmethod
+    def without(fixed: Sequence[int], n: int) -> "Coordinates":
+        """Return all of n parameters but those `fixed`; none is dependent."""
+        free = np.array([k for k in range(n) if k not in fixed], dtype=int)
+        return Coordinates(free, np.zeros(0, dtype=int), np.zeros((0, len(free))))
+
+    @property
+    def moving(self) -> np.ndarray:
+        """Index of all parameters that are not fixed, in ascending order."""
+        return np.sort(np.concatenate([self.free, self.dependent]))
+
+    def basis(self, n: int) -> np.ndarray:
+        """Return d parameters / d free ones, (n, m)."""
+        out = np.zeros((n, len(self.free)))
+        out[self.free, np.arange(len(self.free))] = 1.0
+        out[self.dependent] = self.follow
+        return out
+
+    def slope(self, gradient: np.ndarray) -> np.ndarray:
+        """Return a gradient (..., n) with respect to the free parameters, (..., m)."""
+        own = gradient[..., self.free]
+        return own + gradient[..., self.dependent] @ self.follow if len(self.dependent) else own
+
+    def curvature(self, hessian: np.ndarray) -> np.ndarray:
+        """Return a Hessian (n, n) with respect to the free parameters, (m, m)."""
+        return self.slope(self.slope(hessian).T).T
+
+
+@dataclass(frozen=True, eq=False)
 class Determination:
     """Which parameters the data determine.
 
     `null`: (n, k) orthonormal basis of the undetermined directions, in parameters scaled by `scale`.
     `structural`: names not identifiable from any recording with this model. `fixed`: index of the k
-    parameters that stay at their nominal value so that the others can be estimated.
+    parameters that stay at their nominal value so that the others can be estimated. `gauge`: (g, n) rows of
+    the gauges in force, whose product with the parameters is nominal, and `dependent`: index of g parameters
+    that follow from the others by them.
     """
 
     scale: np.ndarray
     null: np.ndarray
     structural: tuple[str, ...]
     fixed: tuple[int, ...]
+    gauge: np.ndarray
+    dependent: tuple[int, ...]
     n_structural: int = 0
     """How many of the first columns of `null` no recording can determine."""
+
+    @property
+    def not_free(self) -> tuple[int, ...]:
+        """Index of the parameters that are fixed or dependent."""
+        return tuple(sorted((*self.fixed, *self.dependent)))
+
+    def coordinates(self, at_bound: Sequence[int] = ()) -> Coordinates:
+        """Return what is fitted where parameters with index in `at_bound` stay at their bounds."""
+        own = Coordinates.without((*self.not_free, *at_bound), len(self.scale))
+        index = list(self.dependent)
+        follow = -np.linalg.solve(self.gauge[:, index], self.gauge[:, own.free])
+        return Coordinates(own.free, np.array(index, dtype=int), follow)
+
+    def gauges_of(self, model: Model) -> tuple[tuple[Gauge, str], ...]:
+        """Return the gauges of a model that are in force, each with the name of its dependent parameter."""
+        names = [model.names[k] for k in self.dependent]
+        return tuple((gauge, n) for gauge in model.gauges for n in names if n in gauge.parameters)
+
+    def begin(self, model: Model, p: np.ndarray) -> np.ndarray:
+        """Return parameters (n,) with the fixed ones nominal and the dependent ones as the gauges say."""
+        out, index, nominal = np.array(p, dtype=float), list(self.dependent), model.nominal
+        out[list(self.fixed)] = np.clip(nominal, *model.bounds)[list(self.fixed)]
+        out[index] -= np.linalg.solve(self.gauge[:, index], self.gauge @ (out - nominal))
+        return out
 
     def slack(self, gradient: np.ndarray) -> np.ndarray:
         """How far quantities of gradients (..., n) can move along the null directions inside the bounds."""
@@ -63,16 +132,21 @@ def determine(cost: Cost, p: np.ndarray, fixed: tuple[int, ...] | None = None) -
     """
     model = cost.summary.model
     scale, (lower, upper) = scales(model), model.bounds
-    open_ = lower < upper
-    always, rest = structural_directions(cost, p)
+    always, rest, gauge = structural_directions(cost, p)
     information = cost.information(p, 2.0) * np.outer(scale, scale)
     values, vectors = np.linalg.eigh(rest.T @ information @ rest)
     null = np.hstack([always, rest @ vectors[:, values < least_information(values)]])
     if fixed is None:
         inside = (lower <= model.nominal) & (model.nominal <= upper)
-        fixed = tuple(sorted({*_hold(null, inside), *(int(k) for k in np.flatnonzero(~open_))}))
+        fixed = tuple(sorted({*_hold(null, inside), *(int(k) for k in np.flatnonzero(~opened(model)))}))
     moving = np.flatnonzero(np.linalg.norm(always, axis=1) > MOVING)
-    return Determination(scale, null, tuple(model.names[k] for k in moving), fixed, always.shape[1])
+    room = np.clip(np.minimum(p - lower, upper - p) / scale, 0.0, 1.0)  # a dependent parameter meets no bound
+    room[list(fixed)] = 0.0
+    dependent = scipy.linalg.qr(gauge * room, mode="r", pivoting=True)[1][: len(gauge)] if len(gauge) else ()
+    names = tuple(model.names[k] for k in moving)
+    return Determination(
+        scale, null, names, fixed, gauge / scale, tuple(int(k) for k in dependent), always.shape[1]
+    )
 
 
 def least_information(values: np.ndarray) -> np.ndarray:
@@ -83,17 +157,42 @@ def least_information(values: np.ndarray) -> np.ndarray:
     return np.maximum(UNDETERMINED**-2, ROUNDING * values.max(axis=-1, initial=0.0))
 
 
-def structural_directions(cost: Cost, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def structural_directions(cost: Cost, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return orthonormal bases of structurally undetermined directions, (n, k), and of the others, (n, m).
 
-    Both in scaled parameters; fixed parameters are in neither.
+    Both in scaled parameters; fixed parameters are in neither. Along both, the gauges in force stay: their
+    rows (g, n) are the third.
     """
-    lower, upper = cost.summary.model.bounds
-    open_ = lower < upper
-    always = _never(cost, p, open_)
-    rest = np.zeros((len(p), int(open_.sum()) - always.shape[1]))
-    rest[open_] = np.linalg.svd(always[open_], full_matrices=True)[0][:, always.shape[1] :]
-    return always, rest
+    model = cost.summary.model
+    open_ = opened(model)
+    always, gauge = gauged(model, _never(cost, p, open_))
+    without = np.hstack([always, gauge.T])[open_]
+    rest = np.zeros((len(p), int(open_.sum()) - without.shape[1]))
+    rest[open_] = np.linalg.svd(without, full_matrices=True)[0][:, without.shape[1] :]
+    return always, rest, gauge
+
+
+def gauged(model: Model, null: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the structural null directions (n, k) that no gauge of a model fixes, and the gauges in force.
+
+    These are rows (g, n) of unit size in scaled parameters; a gauge is in force where a null direction, and
+    none of the gauges before it, changes the mean of its parameters.
+    """
+    rows = np.array([np.isin(model.names, gauge.parameters) for gauge in model.gauges], dtype=float)
+    rows = rows.reshape(len(model.gauges), len(model.names)) * scales(model) * opened(model)
+    rows /= np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300)
+    used: list[int] = []
+    for k in range(len(rows)):
+        if np.linalg.matrix_rank((rows @ null)[[*used, k]], tol=MOVING) > len(used):
+            used.append(k)
+    if not used:
+        return null, rows[:0]
+    return null @ scipy.linalg.null_space(rows[used] @ null, rcond=MOVING), rows[used]
+
+
+def opened(model: Model) -> np.ndarray:
+    """Return which parameters have bounds that differ, (n,)."""
+    return model.bounds[0] < model.bounds[1]
 
 
 def _never(cost: Cost, p: np.ndarray, open_: np.ndarray) -> np.ndarray:

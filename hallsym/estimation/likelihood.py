@@ -535,6 +535,11 @@ class Sharing:
             parameters=tuple(parameters),
             steps=tuple((link, _with_own(step, own, logs[-1])) for link, step in model.steps),
             combinations=tuple(c for one in model.combinations for c in _by_log(one, own, logs)),
+            gauges=tuple(
+                replace(one, parameters=tuple(own_name(n, log) if n in own else n for n in one.parameters))
+                for one in model.gauges
+                for log in (logs if set(one.parameters) & set(own) else logs[:1])
+            ),
             period=dict(model.period)
             | {own_name(n, log): model.period[n] for n in own if n in model.period for log in logs},
         )

@@ -15,7 +15,7 @@ import numpy as np
 import solvers
 from hallsym.estimation.factors import summarise_at
 from hallsym.estimation.goodness_of_fit import noise_floor
-from hallsym.estimation.identifiable import Determination, determine, scales
+from hallsym.estimation.identifiable import Coordinates, Determination, determine, scales
 from hallsym.estimation.likelihood import Cost, Offsets, Point, cost_near, cost_of, offsets_of
 from hallsym.log import UNRELATED, Fault, Log
 from hallsym.log.batches import Weigh
@@ -172,10 +172,10 @@ def search(
     whole population is evaluated at once. Newton's method refines the best of them on the exact cost, which
     from a closed form nearly always converges; where it does not, IPOPT does.
     """
-    free = np.array([k for k in range(len(first)) if k not in found.fixed], dtype=int)
-    if len(free) == 0:
+    axes = found.coordinates()
+    if len(axes.free) == 0:
         return Search(first, fitted.at(first).value, "converged", "Nothing was left to fit.", 1, 1, 1.0)
-    scaled, explored = Scaled(fitted.summary.model, first, free, found.scale[free]), None
+    scaled, explored = Scaled(fitted.summary.model, first, axes), None
     if solver != "direct":
         problem, rng = scaled.problem(merged), np.random.default_rng(seed)
         # points far from every other start, as evidence that the optimum does not depend on the start
@@ -227,9 +227,7 @@ def begin_at(cost: Cost, begin: np.ndarray) -> tuple[Determination, np.ndarray]:
     model = cost.summary.model
     first = np.clip(begin, *model.bounds)
     found = determine(cost, first)
-    fixed = list(found.fixed)
-    first[fixed] = np.clip(model.nominal, *model.bounds)[fixed]
-    return found, first
+    return found, found.begin(model, first)
 
 
 def _message(status: str, ended: solvers.Result, solver: str) -> str:
@@ -254,29 +252,32 @@ def refit(
 
     For cross-validation and re-weighted runs; parameters with index in `fixed` stay as in `p`.
     """
-    scaled = scaled_around(cost.summary.model, p, fixed)
+    scaled = Scaled(cost.summary.model, np.asarray(p, dtype=float), Coordinates.without(fixed, len(p)))
     problem, begin = scaled.problem(cost), scaled.to_unit(scaled.base)
     found = solvers.newton(problem, begin, tolerance=tolerance, max_iterations=iterations)
     return scaled.from_unit(found.x)
 
 
-def scaled_around(model: Model, p: np.ndarray, fixed: Sequence[int]) -> "Scaled":
-    """Return the scaled parameters of `model` with those of index in `fixed` kept as in `p`."""
-    free = np.array([k for k in range(len(p)) if k not in fixed], dtype=int)
-    return Scaled(model, np.asarray(p, dtype=float), free, scales(model)[free])
-
-
 @dataclass(frozen=True, eq=False)
 class Scaled:
-    """The free parameters in units of their bound width, the others where they are fixed.
+    """The free parameters in units of their bound width (`scale`), the others where they are fixed.
 
-    `base`: (n,) values of the others. `free`: index of the free ones. `scale`: their widths.
+    `base`: (n,) values of the others, and a point on the gauges of the model. `axes`: which are free.
     """
 
     model: Model
     base: np.ndarray
-    free: np.ndarray
-    scale: np.ndarray
+    axes: Coordinates
+
+    @property
+    def free(self) -> np.ndarray:
+        """Index of the free parameters, (m,)."""
+        return self.axes.free
+
+    @cached_property
+    def scale(self) -> np.ndarray:
+        """Widths of their bounds, (m,)."""
+        return scales(self.model)[self.free]
 
     def to_unit(self, p: np.ndarray) -> np.ndarray:
         """Return the free ones of `p` (n,) in units of their width."""
@@ -286,6 +287,8 @@ class Scaled:
         """Return all parameters for free ones in units of their width, one point or many rows."""
         p = np.tile(self.base, (*np.shape(x)[:-1], 1)) if np.ndim(x) > 1 else self.base.copy()
         p[..., self.free] = self._origin + x * self.scale
+        if len(self.axes.dependent):
+            p[..., self.axes.dependent] += (p - self.base)[..., self.free] @ self.axes.follow.T
         return p
 
     @property
@@ -299,7 +302,7 @@ class Scaled:
 
     def problem(self, cost: Cost) -> solvers.Problem:
         """Cost per sample, whole populations at once where the cost is a merged one."""
-        n, free = self.samples(cost), self.free
+        n, free, axes = self.samples(cost), self.free, self.axes
 
         def population(x: np.ndarray) -> np.ndarray:
             points = self.from_unit(x)
@@ -311,8 +314,8 @@ class Scaled:
             f, g, H = cost.at(self.from_unit(x)).derivatives()
             return (
                 f / n,
-                g[free] * self.scale / n,
-                H[np.ix_(free, free)] * np.outer(self.scale, self.scale) / n,
+                axes.slope(g) * self.scale / n,
+                axes.curvature(H) * np.outer(self.scale, self.scale) / n,
             )
 
         lower, upper = self.model.bounds
@@ -361,10 +364,8 @@ class _Pass:
         """
         found, before, model = determine(self.fitted, self.p), self.before, self.fitted.summary.model
         if before is not None and before.null.shape == found.null.shape:
-            return replace(found, fixed=before.fixed), self.p
-        p, fixed = self.p.copy(), list(found.fixed)
-        p[fixed] = np.clip(model.nominal, *model.bounds)[fixed]
-        return found, p
+            return replace(found, fixed=before.fixed, dependent=before.dependent), self.p
+        return found, found.begin(model, self.p)
 
     @property
     def determination(self) -> Determination:

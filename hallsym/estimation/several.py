@@ -133,9 +133,9 @@ def several_fit(
 ) -> Fit:
     """Return the fit of the logs `members`; `judged`: the holdout logs. `numbers`: per log run -> number."""
     estimate = uncertainty(solution.point, solution.determined)
-    free = int(np.count_nonzero(np.diag(estimate.covariance)))
-    bound = None if sharing.own else lower_bound(solution.point, free)
-    own = [_own(estimate, sharing, g, goodness) for g, goodness in enumerate(_goodness(members, free))]
+    bound = None if sharing.own else lower_bound(solution.point, estimate.fitted)
+    each = _goodness(members, estimate.fitted)
+    own = [_own(estimate, sharing, g, goodness) for g, goodness in enumerate(each)]
     own += [replace(own[-1], goodness=goodness_of(m.solution.everywhere, 0)) for m in judged]
     fits = [
         fit_of(m, m.solution.determination, e, None, began)
@@ -324,5 +324,7 @@ def restricted(found: Determination, sharing: Sharing, g: int) -> Determination:
     structural = [names[place[k]] for k, n in enumerate(sharing.joint.names)
                   if n in found.structural and k in place]  # fmt: skip
     fixed = tuple(place[k] for k in found.fixed if k in place)
+    gauges = np.array([j for j, k in enumerate(found.dependent) if k in place], dtype=int)
     return replace(found, scale=found.scale[chosen], null=found.null[chosen], fixed=fixed,
-                   structural=tuple(structural))  # fmt: skip
+                   structural=tuple(structural), gauge=found.gauge[np.ix_(gauges, chosen)],
+                   dependent=tuple(place[found.dependent[j]] for j in gauges))  # fmt: skip

@@ -12,7 +12,14 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.estimation import outliers
-from hallsym.estimation.calibration import Fit, LogRecord, LowerBound, SolverRecord, calibrated
+from hallsym.estimation.calibration import (
+    Fit,
+    GaugeRecord,
+    LogRecord,
+    LowerBound,
+    SolverRecord,
+    calibrated,
+)
 from hallsym.estimation.covariance import Uncertainty, uncertainty
 from hallsym.estimation.decoding import (
     Errors,
@@ -237,7 +244,7 @@ class Task:
 
     def goodness(self, state: Solution) -> GoodnessOfFit:
         """Return the goodness of fit."""
-        fit = goodness_of(state.point, len(state.p) - len(state.determination.fixed))
+        fit = goodness_of(state.point, len(state.p) - len(state.determination.not_free))
         known = uncertain(state.point, self.noise, self.log.meta.gap_length_scale_m)
         return fit.judged(known, self.log.meta.gap_threshold_rel)
 
@@ -378,9 +385,8 @@ def result_of(solved: LogFit, began: float) -> Fit:
     state, found = solved.solution, solved.solution.determined
     point = state.point
     estimate = uncertainty(point, found)
-    free = int(np.count_nonzero(np.diag(estimate.covariance)))
     asked = solved.errors is not None  # a quick fit without faults needs no further evidence
-    bound = lower_bound(point, free) if asked and exact(solved.task.model) else None
+    bound = lower_bound(point, estimate.fitted) if asked and exact(solved.task.model) else None
     return fit_of(solved, found, estimate, bound, began)
 
 
@@ -412,6 +418,7 @@ def fit_of(
         degrees_of_freedom=estimate.degrees_of_freedom,
         fixed=tuple(model.names[k] for k in found.fixed),
         structural=found.structural,
+        gauges=tuple(GaugeRecord(g.text, g.parameters, name) for g, name in found.gauges_of(model)),
         at_bound=estimate.at_bound,
         combinations=estimate.combinations,
         offsets=offsets,
@@ -549,8 +556,8 @@ def pressed(fit: Fit) -> list[str]:
     score = 0.5 * (fit.likelihood.weights @ point.run_gradients)
     information = point.total_information()
     ends = [names.index(n) for n in fit.at_bound]
-    fixed = [names.index(n) for n in fit.fixed]
-    free = [k for k in np.flatnonzero(fit.determined).tolist() if k not in ends]
+    fixed = [names.index(n) for n in fit.not_free]
+    free = [k for k in np.flatnonzero(fit.determined).tolist() if k not in (*ends, *fixed)]
     scale = max(fit.solver.cost_per_degree_of_freedom, 1.0)
     size = np.sqrt(np.maximum(np.diag(information), 1e-300))
     whitened = information / np.outer(size, size)

@@ -194,7 +194,7 @@ def study(
     found = candidates(ranges, model)
     p, scale = model.vector(values), scales(model)
     cost, factor = planned_cost([c.run for c in found], ranges.step_s, model, values, noise)
-    null, rest = structural_directions(cost, p)
+    null, rest, _ = structural_directions(cost, p)
     basis = scale[:, None] * rest
     m = basis.shape[1]
     if m == 0:

@@ -19,6 +19,7 @@ from hallsym.estimation.identifiable import (
     MOVING,
     echelon,
     feature_scale,
+    gauged,
     least_information,
     scales,
     structural_directions,
@@ -76,13 +77,14 @@ def null_spaces(evidence: Evidence, stated: Sequence[CombinationEstimate]) -> tu
     cost, found = evidence.cost, evidence.found
     open_ = np.array([p.width > 0 for p in evidence.model.parameters])
     anywhere = structural_null(cost.coefficients, feature_scale(cost), None, open_)
+    anywhere, gauge = gauged(evidence.model, anywhere)
     spaces = []
     for null, lost, least in (
         (anywhere, found.n_structural, MOVING),
         (found.null[:, found.n_structural :], found.null.shape[1], NAMED),
     ):
         directions = _directions(null, evidence.model.names, stated, least)
-        spaces.append(NullSpace(int(open_.sum()) - lost, int(open_.sum()), directions))
+        spaces.append(NullSpace(int(open_.sum()) - lost - len(gauge), int(open_.sum()), directions))
     return spaces[0], spaces[1]
 
 
@@ -241,7 +243,7 @@ def _together(
     own = len(p) - n  # parameters of the further recording alone: unknown too
     added, _ = eliminate(np.roll(second.information(p, 2.0), own, axis=(0, 1)), own)
     information = (evidence.point.total_information(2.0) + factor * added) * np.outer(scale, scale)
-    always, rest = structural_directions(evidence.cost, evidence.p)
+    always, rest, _ = structural_directions(evidence.cost, evidence.p)
     theirs = structural_directions(second, p)[0][:n]
     basis = np.hstack([rest, always @ _beyond(always, theirs)])
     values, vectors = np.linalg.eigh(basis.T @ information @ basis)
@@ -445,6 +447,7 @@ class Identifiability(Shown):
             "parameters": {entry.name: entry.to_dict() for entry in self.parameters},
             "combinations": plain(self.combinations),
             "structural": plain(self.structural),
+            "gauges": [gauge.text for gauge, _ in self.evidence.found.gauges_of(self.model)],
             "practical": plain(self.practical),
             "further": plain(self.further),
             "outputs": plain(self.outputs),

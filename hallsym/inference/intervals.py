@@ -57,10 +57,12 @@ def intervals_of(evidence: Evidence, *, profiles: str, say: Callable[[str], None
             intervals[quantity.name] = Interval(value - half, value + half, how)
     if evidence.cost.planned or not asked or profiles == "none":
         return Intervals(intervals)
-    cost, fixed = evidence.cost.anchored(evidence.p), evidence.found.fixed
-    free = np.flatnonzero(np.diag(evidence.uncertainty.covariance) > 0)
-    naive = np.zeros((len(evidence.p),) * 2)  # covariance that the likelihood alone gives
-    naive[np.ix_(free, free)] = inverse(evidence.information[np.ix_(free, free)])
+    cost, known = evidence.cost.anchored(evidence.p), evidence.found
+    bounds = [evidence.model.names.index(n) for n in evidence.uncertainty.at_bound]
+    axes = known.coordinates(bounds)
+    basis = axes.basis(len(evidence.p))
+    # covariance that the likelihood alone gives
+    naive = basis @ inverse(axes.curvature(evidence.information)) @ basis.T
     found, failures = list[Profile](), list[str]()
     for k, (quantity, std, dof) in enumerate(asked):
         slope = quantity.first(evidence.p)[1]
@@ -69,11 +71,11 @@ def intervals_of(evidence: Evidence, *, profiles: str, say: Callable[[str], None
             scale = std**2 / variance
         scale *= float(coverage_factor(dof) / coverage_factor(np.inf)) ** 2
         if std and profiles == "auto":
-            ratios = skewness(cost, evidence.p, quantity, fixed=fixed, std=std, scale=scale)
+            ratios = skewness(cost, evidence.p, quantity, found=known, std=std, scale=scale)
             if normal_enough(ratios):
                 continue
         say(Step(f"profile likelihoods, {k + 1} of {len(asked)} ({quantity.name})", k / len(asked)))
-        result = profile(cost, evidence.p, quantity, fixed=fixed, std=std, scale=scale, points=POINTS)
+        result = profile(cost, evidence.p, quantity, found=known, std=std, scale=scale, points=POINTS)
         found.append(result)
         ends = (result.lower.status, result.upper.status)
         if result.ok or "open" in ends:

@@ -8,7 +8,6 @@ The minimiser p* of F + mu (g(p) - v)^2 has the least F of all points with its o
 it lies on the profile. So no constraint has to be met: v is adjusted until the rise is the threshold.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -18,8 +17,9 @@ import scipy
 import solvers
 from hallsym.estimation.calibration import INTERVAL
 from hallsym.estimation.factors import pseudo_inverse
+from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Cost
-from hallsym.estimation.optimum import Scaled, scaled_around
+from hallsym.estimation.optimum import Scaled
 from hallsym.model.model import Quantity
 from hallsym.records import plain
 
@@ -49,30 +49,30 @@ class Tangent:
     direction: np.ndarray
 
 
-def tangent(cost: Cost, p: np.ndarray, quantity: Quantity, fixed: Sequence[int]) -> Tangent:
+def tangent(cost: Cost, p: np.ndarray, quantity: Quantity, found: Determination) -> Tangent:
     """Return the first order of the profile of `quantity` at the optimum `p`; parameters at bounds stay."""
     p = np.asarray(p, dtype=float)
-    scaled = scaled_around(cost.summary.model, p, fixed)
+    scaled = Scaled(cost.summary.model, p, found.coordinates())
     f, gradient, hessian = cost.at(p).derivatives()
     value, slope = quantity.first(p)
     lower, upper = (bound[scaled.free] for bound in scaled.model.bounds)
     near, at, pushes = BOUND * scaled.scale, p[scaled.free], gradient[scaled.free]
     pinned = ((at - lower <= near) & (pushes > 0)) | ((upper - at <= near) & (pushes < 0))
     still = Tangent(quantity, scaled, p, f, value, 0.0, np.zeros_like(p))
-    for moving in (scaled.free[~pinned], scaled.free):
-        own = hessian[np.ix_(moving, moving)]
-        if not len(moving) or not (np.diag(own) > 0).all():
+    for axes in (found.coordinates(scaled.free[pinned].tolist()), scaled.axes):
+        own, rise = axes.curvature(hessian), axes.slope(slope)
+        if not len(rise) or not (np.diag(own) > 0).all():
             continue
-        along = pseudo_inverse(own, 1e-14) @ slope[moving]
-        size = float(slope[moving] @ along)
+        along = pseudo_inverse(own, 1e-14) @ rise
+        size = float(rise @ along)
         if size > 0:
-            still.direction[moving] = along / size
+            still.direction[:] = axes.basis(len(p)) @ along / size
             return replace(still, std=float(np.sqrt(2.0 * size)))
     return still
 
 
 def skewness(
-    cost: Cost, p: np.ndarray, quantity: Quantity, *, fixed: Sequence[int], std: float, scale: float = 1.0
+    cost: Cost, p: np.ndarray, quantity: Quantity, *, found: Determination, std: float, scale: float = 1.0
 ) -> np.ndarray:
     """Return the half-widths of an interval over those of the normal one, (lower, upper), without a profile.
 
@@ -80,7 +80,7 @@ def skewness(
     the profile: it differs from the profile only in fourth order of the distance, and includes the third
     order, the asymmetry.
     """
-    began, aim, ratios = tangent(cost, p, quantity, fixed), float(np.sqrt(THRESHOLD)), np.full(2, np.nan)
+    began, aim, ratios = tangent(cost, p, quantity, found), float(np.sqrt(THRESHOLD)), np.full(2, np.nan)
     lower, upper = cost.summary.model.bounds
     if not (began.std > 0 and np.isfinite(std) and std > 0):
         return ratios
@@ -240,14 +240,14 @@ class Walk:
 
     def pulled(self, v: float) -> solvers.Problem:
         """F + mu (g - v)^2."""
-        scaled, free, weight = self.scaled, self.scaled.free, self.mu / self.samples
+        scaled, axes, weight = self.scaled, self.scaled.axes, self.mu / self.samples
         inner = self.problem.second_order
 
         def derivatives(x: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
             f, gradient, hessian = inner(x)
             value, slope, bend = self.quantity.at(scaled.from_unit(x))
-            slope, off = slope[free] * scaled.scale, value - v
-            bend = bend[np.ix_(free, free)] * np.outer(scaled.scale, scaled.scale)
+            slope, off = axes.slope(slope) * scaled.scale, value - v
+            bend = axes.curvature(bend) * np.outer(scaled.scale, scaled.scale)
             return (
                 f + weight * off**2,
                 gradient + 2.0 * weight * off * slope,
@@ -320,19 +320,20 @@ def profile(
     p: np.ndarray,
     quantity: Quantity,
     *,
-    fixed: Sequence[int],
+    found: Determination,
     std: float | None = None,
     scale: float = 1.0,
     points: int = 0,
 ) -> Profile:
     """Return the profile of `quantity` around the optimum `p` (n,) of `cost`.
 
-    `fixed`: index of the parameters that stay as in `p`. `std`: about its standard uncertainty, the first
-    step; from the curvature of `cost` by default. `scale`: squared ratio of the standard uncertainty to the
-    likelihood's; the threshold is multiplied by it. `points`: further points per side,
-    about evenly spaced. For several quantities give `cost.anchored(p)`: what belongs to `p` is computed once.
+    `found`: which parameters stay as in `p`, and the gauges of the others. `std`: about its standard
+    uncertainty, the first step; from the curvature of `cost` by default. `scale`: squared ratio of the
+    standard uncertainty to the likelihood's; the threshold is multiplied by it. `points`: further points per
+    side, about evenly spaced. For several quantities give `cost.anchored(p)`: what belongs to `p` is computed
+    once.
     """
-    began, threshold = tangent(cost, p, quantity, fixed), THRESHOLD * scale
+    began, threshold = tangent(cost, p, quantity, found), THRESHOLD * scale
     step = float(std) / np.sqrt(scale) if std is not None and np.isfinite(std) and std > 0 else began.std
     walks = [Walk(cost, began, step, threshold, sign) for sign in (-1.0, 1.0)]
     lower, upper = (walk.end() for walk in walks)

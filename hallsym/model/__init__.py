@@ -6,7 +6,7 @@ from hallsym.model.derived import rate
 from hallsym.model.effect import Effect, Variant, Way, effect, ways_text
 from hallsym.model.family import Example, Family, Further, PoseMetric
 from hallsym.model.features import find_features
-from hallsym.model.model import LINKS, Combination, Inspection, Model, Parameter, Signals, Step
+from hallsym.model.model import LINKS, Combination, Gauge, Inspection, Model, Parameter, Signals, Step
 
 __all__ = [
     "LINKS",
@@ -16,6 +16,7 @@ __all__ = [
     "Facts",
     "Family",
     "Further",
+    "Gauge",
     "Inspection",
     "Model",
     "Parameter",

@@ -99,6 +99,17 @@ class Combination:
 
 
 @dataclass(frozen=True)
+class Gauge:
+    """A factor or shift that no reading shows: the mean of `parameters` stays at its nominal value.
+
+    It holds where readings leave it free. `text`: what is free, and what the user may state in its place.
+    """
+
+    parameters: tuple[str, ...]
+    text: str
+
+
+@dataclass(frozen=True)
 class Inspection:
     """Result of a family's pre-fit check of a log: notes, and channels of reversed sign."""
 
@@ -125,6 +136,7 @@ class Model:
     steps: tuple[tuple[str, Step], ...]
     offsets: tuple[Parameter, ...] = ()
     combinations: tuple[Combination, ...] = ()
+    gauges: tuple[Gauge, ...] = ()
     effects: tuple[str, ...] = ()
     layout: tuple = ()
     closed_form: "Callable[[Model, Mapping[str, np.ndarray]], np.ndarray] | None" = None

@@ -13,7 +13,7 @@ from hallsym.estimation.covariance import Uncertainty, uncertainty
 from hallsym.estimation.identifiable import Determination, determine
 from hallsym.estimation.likelihood import Cost
 from hallsym.estimation.optimum import refit
-from hallsym.inference.profiles import normal_enough, profile, skewness, tangent
+from hallsym.inference.profiles import Profile, normal_enough, profile, skewness, tangent
 from hallsym.model import Model
 from hallsym.model.model import Quantity, combination, linear, parameter
 
@@ -50,17 +50,43 @@ def rise_at(cost: Cost, p: np.ndarray, held, name: str, value: float) -> float:
     return cost.at(at).value - cost.at(p).value
 
 
+def by_name(p: Profile) -> str:
+    return f"{p.lower} {p.upper}"
+
+
 # -- quantities ------------------------------------------------------------------------------------------
 
 
+def test_quantities_have_exact_derivatives():
+    """Central differences of a lever arm: error of order step^2."""
+    arm, p, h = combination(MODEL, MODEL.combinations[0]), MODEL.nominal + 0.01, 1e-5
+    value, gradient, hessian = arm.at(p)
+    steps = h * np.eye(len(p))
+    assert value == pytest.approx(np.asarray(MODEL.combined(p)).ravel()[0], rel=1e-15)
+    slopes = [(arm.first(p + s)[0] - arm.first(p - s)[0]) / (2 * h) for s in steps]
+    bends = [(arm.first(p + s)[1] - arm.first(p - s)[1]) / (2 * h) for s in steps]
+    assert np.allclose(gradient, slopes, rtol=0, atol=1e-9)
+    assert np.allclose(hessian, bends, rtol=0, atol=1e-9)
+    assert not arm.linear
+
+
 # -- profiles --------------------------------------------------------------------------------------------
+
+
+def test_ends_rise_by_the_threshold():
+    cost, p, found, _ = paper()
+    for name in ("eta_A", "theta_B", "a_C", "b_A", "c_B"):
+        got = profile(cost, p, parameter(MODEL, name), found=found)
+        assert (got.lower.status, got.upper.status) == ("reached", "reached"), by_name(got)
+        for end in got.interval:
+            assert rise_at(cost, p, found.fixed, name, end) == pytest.approx(THRESHOLD, rel=1e-4)
 
 
 def test_lopsided_ends_rise_by_the_threshold():
     cost, p, found, _ = noisy()
     worst = 0.0
     for name in ("eta_A", "eta_C", "a_B", "b_C"):
-        got = profile(cost, p, parameter(MODEL, name), fixed=found.fixed)
+        got = profile(cost, p, parameter(MODEL, name), found=found)
         for side in (got.lower, got.upper):
             if side.status == "reached":
                 assert rise_at(cost, p, found.fixed, name, side.value) == pytest.approx(THRESHOLD, rel=3e-4)
@@ -73,7 +99,7 @@ def test_a_nearly_linear_problem_has_normal_intervals():
     """Sides differ by 1e-4 of the width here; expected and observed information by 1e-3."""
     cost, p, found, e = paper()
     for c, said in zip(MODEL.combinations, e.combinations, strict=True):
-        got = profile(cost, p, combination(MODEL, c), fixed=found.fixed, std=said.std)
+        got = profile(cost, p, combination(MODEL, c), found=found, std=said.std)
         half = np.sqrt(THRESHOLD) * said.std
         assert got.ok
         assert got.interval == pytest.approx((said.value - half, said.value + half), abs=0.01 * half)
@@ -82,7 +108,7 @@ def test_a_nearly_linear_problem_has_normal_intervals():
 def test_scale_sets_the_threshold():
     cost, p, found, _ = paper()
     eta = parameter(MODEL, "eta_A")
-    one, four = (profile(cost, p, eta, fixed=found.fixed, scale=s) for s in (1.0, 4.0))
+    one, four = (profile(cost, p, eta, found=found, scale=s) for s in (1.0, 4.0))
     assert four.threshold == pytest.approx(4 * one.threshold)
     assert np.subtract(*four.interval) == pytest.approx(2 * np.subtract(*one.interval), rel=1e-3)
 
@@ -93,7 +119,7 @@ def test_a_bound_before_the_threshold_ends_the_profile():
     upper = p[k] + e.std[k]
     tight = MODEL.with_parameters({"eta_B": {"nominal": p[k] - 1e-3, "upper": upper}})
     cost, q, found, _ = solved(11, model=tight)
-    got = profile(cost, q, parameter(tight, "eta_B"), fixed=found.fixed)
+    got = profile(cost, q, parameter(tight, "eta_B"), found=found)
     assert (got.lower.status, got.upper.status) == ("reached", "at bound")
     assert got.upper.value == upper
     assert got.rises[-1] == pytest.approx(1.0, rel=0.01)  # one standard uncertainty away
@@ -108,13 +134,13 @@ def test_a_parameter_at_its_bound_has_one_side():
     tight = MODEL.with_parameters({"eta_B": {"nominal": upper - 1e-3, "upper": upper}})
     cost, q, found, said = solved(11, model=tight)
     assert said.at_bound == ("eta_B",)
-    got = profile(cost, q, parameter(tight, "eta_B"), fixed=found.fixed)
+    got = profile(cost, q, parameter(tight, "eta_B"), found=found)
     assert (got.lower.status, got.upper.status) == ("reached", "at bound")
     assert got.upper.value == upper
     # (d + 2)^2 - 2^2 = 3.84 in standard uncertainties
     assert upper - got.lower.value == pytest.approx((np.sqrt(4 + THRESHOLD) - 2) * e.std[k], rel=0.01)
     # with that parameter pinned another one is not bounded, and its profile may leave the bound
-    other = profile(cost, q, parameter(tight, "a_A"), fixed=found.fixed)
+    other = profile(cost, q, parameter(tight, "a_A"), found=found)
     assert other.ok
 
 
@@ -131,7 +157,7 @@ def test_bounds_of_other_parameters_leave_a_profile_open():
     cost = replace(paper()[0], anchor=None)
     summary = replace(cost.summary, features=replace(cost.summary.features, model=boxed))
     cost = replace(cost, summary=summary)
-    got = profile(cost, p, linear(boxed, gradient, "1"), fixed=found.fixed)
+    got = profile(cost, p, linear(boxed, gradient, "1"), found=found)
     assert (got.lower.status, got.upper.status) == ("open", "open")
     assert got.upper.value == pytest.approx(p[a] + p[b] + 0.2 * (e.std[a] + e.std[b]), rel=1e-9)
     assert "bounds of other parameters" in got.upper.reason
@@ -146,7 +172,7 @@ def test_a_profile_that_breaks_is_failed_with_a_reason():
     broken = Quantity(
         "root", "1", -np.inf, np.inf, symbol, -ca.sqrt(p[k] + e.std[k] - symbol[k]) / e.std[k] ** 0.5
     )
-    got = profile(cost, p, broken, fixed=found.fixed)
+    got = profile(cost, p, broken, found=found)
     assert got.upper.status == "failed"
     assert "stops at" in got.upper.reason
     assert np.isnan(got.upper.value)
@@ -159,7 +185,7 @@ def test_a_better_optimum_is_reported():
     k = MODEL.names.index("eta_A")
     off = p.copy()
     off[k] += e.std[k]
-    got = profile(replace(cost, anchor=None), off, parameter(MODEL, "eta_A"), fixed=found.fixed)
+    got = profile(replace(cost, anchor=None), off, parameter(MODEL, "eta_A"), found=found)
     assert got.better is not None
     assert cost.at(got.better).value == pytest.approx(cost.at(off).value - got.drop, abs=1e-3)
     assert got.drop > 0.5
@@ -175,8 +201,8 @@ def test_skewness_says_where_a_profile_is_needed():
             if not e.determined[k]:
                 continue
             quantity = parameter(MODEL, name)
-            quick = skewness(cost, p, quantity, fixed=found.fixed, std=e.std[k])
-            got = profile(cost, p, quantity, fixed=found.fixed)
+            quick = skewness(cost, p, quantity, found=found, std=e.std[k])
+            got = profile(cost, p, quantity, found=found)
             if not (np.isfinite(quick).all() and got.lower.status == got.upper.status == "reached"):
                 continue
             half = np.sqrt(THRESHOLD) * e.std[k]
@@ -190,11 +216,11 @@ def test_near_a_bound_the_normal_interval_will_not_do():
     k = MODEL.names.index("eta_B")
     tight = MODEL.with_parameters({"eta_B": {"nominal": p[k] - 1e-3, "upper": p[k] + e.std[k]}})
     cost, q, found, said = solved(11, model=tight)
-    quick = skewness(cost, q, parameter(tight, "eta_B"), fixed=found.fixed, std=said.std[k])
+    quick = skewness(cost, q, parameter(tight, "eta_B"), found=found, std=said.std[k])
     assert not np.isfinite(quick[1])
     assert not normal_enough(quick)
     cost, p, found, e = paper()
-    assert normal_enough(skewness(cost, p, parameter(MODEL, "eta_B"), fixed=found.fixed, std=e.std[k]))
+    assert normal_enough(skewness(cost, p, parameter(MODEL, "eta_B"), found=found, std=e.std[k]))
 
 
 # -- another implementation ------------------------------------------------------------------------------
@@ -269,11 +295,11 @@ def test_profiles_agree_with_pypesto():
     for arm in arms:
         (k,) = (k for k in free if MODEL.names[k].startswith("H") and arm.first(p)[1][k] != 0)
         quantities[free.index(k)] = arm
-    std = np.array([tangent(cost, p, q, found.fixed).std for q in quantities])
+    std = np.array([tangent(cost, p, q, found).std for q in quantities])
     which = [free.index(MODEL.names.index("eta_C")), free.index(MODEL.names.index("a_B")), 0]
     lower, upper = ((bound - p)[free] / std for bound in MODEL.bounds)
     lower, upper = np.maximum(lower, -8.0), np.minimum(upper, 8.0)
     theirs = pypesto_profiles(*reduced(cost, p, free, arms, std), lower, upper, which)
     for k, ends in zip(which, theirs, strict=True):
-        ours = profile(cost, p, quantities[k], fixed=found.fixed)
+        ours = profile(cost, p, quantities[k], found=found)
         assert (np.array(ours.interval) - ours.value) / std[k] == pytest.approx(ends, rel=1e-3)

@@ -11,7 +11,6 @@ from hallsym.inference import (
     CombinationReport,
     Identifiability,
     NullDirection,
-    NullSpace,
     Offsets,
     ParameterReport,
 )
@@ -54,7 +53,7 @@ def identifiability_content(report: Identifiability) -> Content:
         "\n".join(filter(None, (amiss, answer))),
         [
             Section("parameters", "Parameters", [*_parameters(report), *combinations]),
-            Section("lost", "What is not identifiable", null_text(report.structural, report.practical)),
+            Section("lost", "What is not identifiable", null_text(report)),
             Section("further", "Further recordings", [further_table(report)] if report.further else []),
             Section("effects", "Effect on the position", [effects_table(report), outputs_table(report)]),
             Section("notes", "Evidence and notes", [*offsets_text(report.offsets), *notes]),
@@ -118,13 +117,17 @@ def _interval(entry: ParameterReport | CombinationReport, factor: float) -> str:
     return " .. ".join(ends) + mark
 
 
-def null_text(structural: NullSpace, practical: NullSpace) -> list[str]:
-    """Return the sentences on null directions."""
-    some = "not identifiable from any recording:" if structural.null else "all are identifiable"
+def null_text(report: Identifiability) -> list[str]:
+    """Return the sentences on free factors and null directions."""
+    structural, practical = report.structural, report.practical
+    gauges = report.evidence.found.gauges_of(report.model)
+    but = f" but for {counted(len(gauges), 'free factor')}:" if gauges else ""
+    some = "not identifiable from any recording:" if structural.null else f"all are identifiable{but}"
     less = "not identifiable from this recording:" if practical.null else "nothing more is lost"
     return [
         f"structural rank {structural.rank} of {structural.of}: {some}",
         *_directions(structural.null),
+        *(f"  {gauge.text}" for gauge, _ in gauges),
         f"practical rank {practical.rank} of {practical.of}: {less}",
         *_directions(practical.null),
     ]

@@ -1,5 +1,7 @@
 """Effects of Halbach arrays at the transducer: offset, gain, bend, drift and lag of each sensor."""
 
+from dataclasses import replace
+
 import casadi as ca
 
 from hallsym.errors import InputError
@@ -7,7 +9,7 @@ from hallsym.families.halbach import links
 from hallsym.families.halbach.layout import arrays, sensors
 from hallsym.families.halbach.links import FIELD, FILTER, LATER
 from hallsym.families.mechanisms import LOW_PASS, Functions, P, bends, drifts, following
-from hallsym.model import Facts, Model, Parameter, Signals, Way, effect
+from hallsym.model import Facts, Gauge, Model, Parameter, Signals, Way, effect
 from hallsym.model.arguments import Try, found, one_of
 from hallsym.model.derived import rate
 
@@ -30,6 +32,11 @@ def offset_error(model: Model) -> Model:
     return constant(model, "offset_error")
 
 
+FREE_FACTOR = (
+    "field amplitudes and gains have one common factor that no recording shows: the mean of the gains stays "
+    "at its nominal value; an a1, or a gain, with lower = upper in the machine file fixes the factor instead"
+)
+"""Said where a fit leaves the mean of the gains at 1."""
 EACH = "each"
 """Channels of which every one is off by itself."""
 
@@ -59,10 +66,12 @@ def gain_mismatch(
         labels = zip(links.labels(model), sensors(model.layout), strict=True)
         only, name, beside = [k for k, s in labels if s.array == of], f"gain_{of}", f"under array {of}"
     one = Functions([beside], lambda s: [ca.SX(1)])
-    return following(
+    wide = following(
         model, "gain_mismatch", "transducer", FIELD, one, 1.0, "1", gain=True, names=[name], only=only,
         shared=of != EACH,
     )  # fmt: skip
+    gains = tuple(p.name for p in wide.parameters if p not in model.parameters)
+    return replace(wide, gauges=(*wide.gauges, Gauge(gains, FREE_FACTOR)))
 
 
 odd_nonlinearity, even_nonlinearity = bends(
