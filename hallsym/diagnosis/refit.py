@@ -10,7 +10,8 @@ from hallsym.diagnosis.normal_equations import NormalEquations, normal_equations
 from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.scores import bic
 from hallsym.estimation.covariance import AT_BOUND
-from hallsym.estimation.factors import pseudo_inverse
+from hallsym.estimation.factors import SINGULAR, pseudo_inverse, unit_scale
+from hallsym.estimation.identifiable import gauged, scales
 from hallsym.estimation.optimum import DROP, PASSES
 from hallsym.model import Model, Variant
 from solvers import bounded_step, gauss_newton
@@ -111,7 +112,27 @@ class Refitted:
         M = self.products[np.ix_(moving, moving)]
         full = np.zeros((len(self.base.p),) * 2)
         full[np.ix_(free, free)] = pseudo_inverse(M)
-        return full
+        along, rows = self._gauge(M, free)
+        within = np.eye(len(full)) - along @ rows
+        return np.asarray(within @ full @ within.T)
+
+    def values(self) -> np.ndarray:
+        """Return the parameters (n,) within the gauges of the model, as a fit gives them."""
+        free = np.array(self.base.free, dtype=int)
+        along, rows = self._gauge(self.products[:-1, :-1], free)
+        return np.asarray(self.base.p - along @ (rows @ (self.base.p - self.base.model.nominal)))
+
+    def _gauge(self, M: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the gauges in force, rows (g, n), and the steps (n, g) that change one and no reading.
+
+        `M`: products of the columns of the parameters `free`.
+        """
+        unit, scale = unit_scale(M), scales(self.base.model)
+        sizes, vectors = np.linalg.eigh(M * np.outer(unit, unit))
+        null = np.zeros((len(scale), int(np.sum(sizes < SINGULAR * sizes.max(initial=0.0)))))
+        null[free] = unit[:, None] * vectors[:, : null.shape[1]]
+        rows = gauged(self.base.model, null / scale[:, None])[1] / scale
+        return null @ np.linalg.pinv(rows @ null), rows
 
 
 def with_model(base: Base, model: Model) -> Base:

@@ -361,7 +361,7 @@ def findings(setup: Setup, found: Validation) -> tuple[FoundEffect, ...]:
 def _effect(found: Validation, validated: Validated, spread: np.ndarray) -> FoundEffect:
     score, fit = validated.exact.score, found.fit
     model, before = fit.base.model, validated.without.base.model
-    stuck, unseen = fit.at_bound(), fit.unseen()
+    stuck, unseen, values = fit.at_bound(), fit.unseen(), fit.values()
     index = {n: model.names.index(n) for n in score.model.names if n in model.names and n not in before.names}
     ended = tuple(n for n, j in index.items() if j in stuck)
     blind = [n for n, j in index.items() if j in unseen]
@@ -371,7 +371,7 @@ def _effect(found: Validation, validated: Validated, spread: np.ndarray) -> Foun
         variant=score.variant.label,
         parameters={
             n: Estimate(
-                float(fit.base.p[j]),
+                float(values[j]),
                 None if j in stuck or j in unseen else float(spread[j]),
                 model.parameters[j].unit,
             )

@@ -20,7 +20,9 @@ from hallsym.families.halbach.finite import strength
 from hallsym.families.halbach.layout import arrays, columns
 from hallsym.families.halbach.models import halbach
 from hallsym.families.published import table as published
+from hallsym.inference.profiles import profile
 from hallsym.log import Meta
+from hallsym.model.model import parameter
 from hallsym.simulation import campaign_from
 from hallsym.uncertainty import errors_along
 
@@ -203,11 +205,29 @@ TIED = ("gain_mismatch", "sensor_position_error")
 """Effects of which the mean is the array's own amplitude or phase."""
 
 
-def test_what_is_tied_is_said():
-    log = recorded(halbach(NINE))
-    fit = hallsym.fit(log, halbach(NINE), effects=["gain_mismatch"], solver="direct")
+def test_gains_and_the_field_have_one_free_factor():
+    """The mean gain is 1, whatever is added; a stated amplitude makes gains absolute. All are determined."""
+    true = np.random.default_rng(2960).normal(0.02, 0.02, 9)
+    model, effects = halbach(NINE), ["gain_mismatch"]
+    log = recorded(transducer.gain_mismatch(model), {f"gain_{k}": g for k, g in enumerate(true.tolist())})
+    for added in ([], ["offset_error"]):
+        fit = hallsym.fit(log, model, effects=[*effects, *added], solver="direct")
+        own = [fit.model.names.index(f"gain_{k}") for k in range(9)]
+        gains, std = fit.values[own], fit.std[own]
+        assert fit.determined.all()
+        assert (fit.structural, fit.combinations, len(fit.gauges)) == ((), (), 1)
+        assert abs(gains.mean()) < 1e-12
+        assert np.abs((1 + gains - (1 + true) / (1 + true).mean()) / std).max() < 3.5
+        assert fit.covariance[np.ix_(own, own)].sum() < 1e-9 * (std**2).sum()
+    profiled = profile(fit.likelihood, fit.values, parameter(fit.model, "gain_3"), found=fit.determination)
+    assert profiled.interval == pytest.approx(fit.conf_int()["gain_3"], abs=0.05 * std[3])
     found = hallsym.identify(fit, profiles="none")
-    assert found.structural.rank == found.structural.of - 1  # a common gain is the amplitude
+    assert found.structural.rank == found.structural.of - 1
+    assert [one.summary().count("one common factor") for one in (fit, found)] == [1, 1]
+    stated = model.with_parameters({"a1": {"nominal": 0.62, "lower": 0.62, "upper": 0.62}})
+    fit = hallsym.fit(log, stated, effects=effects, solver="direct")
+    assert fit.gauges == ()
+    assert np.abs((fit.values[own] - true) / fit.std[own]).max() < 3.5
 
 
 @pytest.mark.slow
