@@ -211,6 +211,10 @@ class Model:
                 computed += [] if isinstance(column, str) else [column]
         return replace(self, state=tuple(state), computed=tuple(computed), before=self)
 
+    def with_gauge(self, parameters: Iterable[str], text: str) -> "Model":
+        """Return a model in which the mean of some parameters is a `Gauge`."""
+        return replace(self, gauges=(*self.gauges, Gauge(tuple(parameters), text)), before=self)
+
     def with_parameters(self, changes: Mapping[str, Mapping[str, Any]]) -> "Model":
         """Return a model with other nominal values or bounds: `{"H1x": {"nominal": .2, "lower": .1}}`."""
         if not changes:

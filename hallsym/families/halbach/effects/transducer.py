@@ -1,7 +1,5 @@
 """Effects of Halbach arrays at the transducer: offset, gain, bend, drift and lag of each sensor."""
 
-from dataclasses import replace
-
 import casadi as ca
 
 from hallsym.errors import InputError
@@ -9,7 +7,7 @@ from hallsym.families.halbach import links
 from hallsym.families.halbach.layout import arrays, sensors
 from hallsym.families.halbach.links import FIELD, FILTER, LATER
 from hallsym.families.mechanisms import LOW_PASS, Functions, P, bends, drifts, following
-from hallsym.model import Facts, Gauge, Model, Parameter, Signals, Way, effect
+from hallsym.model import Facts, Model, Parameter, Signals, Way, effect
 from hallsym.model.arguments import Try, found, one_of
 from hallsym.model.derived import rate
 
@@ -33,8 +31,8 @@ def offset_error(model: Model) -> Model:
 
 
 FREE_FACTOR = (
-    "field amplitudes and gains have one common factor that no recording shows: the mean of the gains stays "
-    "at its nominal value; an a1, or a gain, with lower = upper in the machine file fixes the factor instead"
+    "field amplitudes and gains have one common factor that no recording shows: the mean of the gains stays 1 "
+    "(or as stated); an a1, or a gain, with lower = upper in the machine file fixes the factor instead"
 )
 """Said where a fit leaves the mean of the gains at 1."""
 EACH = "each"
@@ -70,8 +68,8 @@ def gain_mismatch(
         model, "gain_mismatch", "transducer", FIELD, one, 1.0, "1", gain=True, names=[name], only=only,
         shared=of != EACH,
     )  # fmt: skip
-    gains = tuple(p.name for p in wide.parameters if p not in model.parameters)
-    return replace(wide, gauges=(*wide.gauges, Gauge(gains, FREE_FACTOR)))
+    gains = [p.name for p in wide.parameters if p not in model.parameters]
+    return wide.with_gauge(gains, FREE_FACTOR)
 
 
 odd_nonlinearity, even_nonlinearity = bends(
