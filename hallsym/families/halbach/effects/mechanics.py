@@ -13,10 +13,10 @@ from hallsym.model.derived import rate
 
 MOST_OFF_M, MOST_TILT_RAD, MOST_TURN_RAD, MOST_DELAY_S = 3e-3, 0.3, 0.1, 0.05
 SHIFT = (
-    "no recording shows {what} of all sensors alike beside that of the field: the mean of {names} stays "
-    "nominal; one with lower = upper in the machine file fixes it instead"
+    "no recording shows a shift in {a} of all sensors alike beside that of the field: the mean of d{a}_* "
+    "stays nominal; one with lower = upper in the machine file fixes it instead"
 )
-"""Said where a fit leaves the mean place, height or tilt of the sensors nominal."""
+"""Said where a fit leaves the mean place or height of the sensors nominal."""
 FIFTH = Way("sweeps at a smaller gap", "the fifth harmonic sees a tilt and a place differently")
 
 
@@ -51,7 +51,7 @@ def sensor_position_error(
     wide = model.with_step("mechanics", step, effect="sensor_position_error", parameters=new)
     for a in sorted({name[1] for name in meanings}):
         own = [n for n in meanings if n.startswith(f"d{a}_")]
-        wide = wide.with_gauge(own, SHIFT.format(what=f"a shift in {a}", names=f"d{a}_*"))
+        wide = wide.with_gauge(own, SHIFT.format(a=a))
     return wide
 
 
@@ -66,8 +66,7 @@ def sensor_tilt(model: Model) -> Model:
             s["tilted"][k]["xy".index(a)] = s["tilted"][k]["xy".index(a)] + p[f"tilt{a}_{label}"]
 
     new = free(meanings, MOST_TILT_RAD, "rad")
-    wide = model.with_step("mechanics", step, effect="sensor_tilt", parameters=new)
-    return wide.with_gauge(meanings, SHIFT.format(what="a tilt", names="tilt*"))
+    return model.with_step("mechanics", step, effect="sensor_tilt", parameters=new)
 
 
 PLACE, HEIGHT = "place", "height"
