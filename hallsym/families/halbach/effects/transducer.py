@@ -32,7 +32,7 @@ def offset_error(model: Model) -> Model:
 
 FREE_FACTOR = (
     "field amplitudes and gains have one common factor that no recording shows: the mean gain stays 1 "
-    "(or as stated); an a1, or a gain, with lower = upper in the machine file fixes the factor instead"
+    "(or as stated); an a1 or a gain with fixed = true in the machine file sets the factor instead"
 )
 """Said where a fit leaves the mean of the gains at 1."""
 EACH = "each"

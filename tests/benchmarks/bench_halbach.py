@@ -1,0 +1,108 @@
+"""Gains and offsets of drawn machines of cuboid magnets, in standard uncertainties from their true values.
+
+python tests/benchmarks/bench_halbach.py [--seed 2960] [--machines 30] [--planar 0]
+
+Magnets are cuboids of magpylib (`tests/families/halbach_plant.py`); nothing of the model is used. Gains are
+those over their mean, which a fit leaves at 1.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import hallsym
+from hallsym import Log, Noise
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "families"))
+import halbach_plant as plant
+
+W = plant.WAVE
+REFERENCES = ("x_ref_m", "y_ref_m", "z_ref_m", "rx_ref_rad", "ry_ref_rad", "rz_ref_rad")
+CENTRES = {"X1": (-2.5, 3.0), "X2": (2.5, -3.0), "Y1": (3.0, 2.5), "Y2": (-3.0, -2.5)}
+
+
+def log_of(rng, seen, pose, names, references, channels, arrays):
+    """Return the log of a machine whose channels see `seen` (K, n) at 1 V, its gains and its offsets."""
+    runs, sigma = int(rng.integers(3, 7)), float(rng.choice([3e-4, 1e-3, 3e-3]))
+    gains, offsets = 0.025 * rng.standard_normal(len(names)), 0.01 * rng.standard_normal(len(names))
+    v = seen * (1 + gains[:, None]) + offsets[:, None] + sigma * rng.standard_normal(seen.shape)
+    std = {c: 1e-7 if c.endswith("_m") else 1e-6 for c in references}
+    refs = {c: p + std[c] * rng.standard_normal(len(p)) for c, p in zip(references, pose, strict=True)}
+    count = seen.shape[1]
+    data = dict(zip(names, v, strict=True)) | refs
+    data |= {"run": np.arange(count) * runs // count, "t_s": 0.01 * np.arange(count)}
+    noise = dict.fromkeys(names, sigma) | std
+    meta = hallsym.log.Meta(probes=channels, raw={"arrays": arrays})
+    return Log.from_arrays(data, Noise.given(noise, tuple(data)), meta), gains, offsets
+
+
+def two(seed):
+    """One array of 150 to 300 x 40 to 120 mm over 3 to 9 sensors, any magnet in its middle."""
+    rng = np.random.default_rng(seed)
+    places = (np.arange(n := int(rng.choice([3, 5, 6, 9]))) - (n - 1) / 2) * W / 3
+    length, width = max(rng.uniform(0.15, 0.30), 0.09 + 2 * places.max()), rng.uniform(0.04, 0.12)
+    parts = plant.magnets(0, np.zeros(2), length, width, int(rng.integers(0, 8)))
+    t, shift = np.linspace(0, 2 * np.pi, int(rng.integers(1000, 3000))), rng.uniform(-3e-3, 3e-3)
+    x = 0.016 * np.sin(rng.uniform(11, 23) * t)
+    z = 5e-3 + rng.uniform(4e-4, 1e-3) * np.sin(rng.uniform(29, 53) * t)
+    at = [np.column_stack([p - x - shift, 0 * x, -z]) for p in places]
+    names = [f"col_{k}_v" for k in range(n)]
+    channels = [{"channel": c, "position_m": [float(p)]} for c, p in zip(names, places, strict=True)]
+    array = {"name": "X", "wavelength_m": W, "length_m": length, "width_m": width}
+    seen = 4 * np.array([plant.field(parts, p)[:, 2] for p in at])
+    return log_of(rng, seen, (x, z), names, ("x_ref_m", "z_ref_m"), channels, [array])
+
+
+def planar(seed):
+    """Four arrays of 180 x 150 mm over sums of three sensors, or over each of 72."""
+    rng = np.random.default_rng(seed)
+    parts, arrays, names, channels, places = [], [], [], [], []
+    sums = bool(seed % 2)
+    for name, centre in ((n, W * np.array(c)) for n, c in CENTRES.items()):
+        i = "XY".index(name[0])
+        parts += plant.magnets(i, centre, 6 * W, 5 * W)
+        size = {"length_m": 6 * W, "width_m": 5 * W, "middle_magnet": 0}
+        where = {"name": name, "periodic_along": "xy"[i], "centre_m": centre.tolist(), "wavelength_m": W}
+        arrays.append(where | size)
+        for k in range(6):
+            own = [centre + W / 3 * np.roll([k - 2.5, j - 1], i) for j in range(3)]
+            for group in [own] if sums else [[p] for p in own]:
+                names.append(f"hall_{len(names)}_0_v")
+                positions = [p.tolist() for p in group]
+                channels.append({"channel": names[-1], "array": name, "positions_m": positions})
+                places += group
+    t = np.linspace(0, 2 * np.pi, 1200)
+    size = np.array([0.015, 0.015, 1.2e-3, 6e-3, 6e-3, 6e-3])
+    pose = size * np.sin(rng.uniform(5, 23, 6) * t[:, None] + rng.uniform(0, 6, 6)) + [0, 0, 6e-3, 0, 0, 0]
+    seen = 4 * plant.readings(parts, np.array(places), pose).reshape(len(names), -1, len(t)).mean(axis=1)
+    return log_of(rng, seen, pose.T, names, REFERENCES, channels, arrays)
+
+
+def main():
+    asked = argparse.ArgumentParser(description=__doc__)
+    for name, usual in (("seed", 2960), ("machines", 30), ("planar", 0)):
+        asked.add_argument(f"--{name}", type=int, default=usual)
+    args = asked.parse_args()
+    for model, make, many in (("halbach", two, args.machines), ("halbach_planar", planar, args.planar)):
+        z = {"gain": [], "offset_error": []}
+        for seed in range(args.seed, args.seed + many):
+            log, gains, offsets = make(seed)
+            fit = hallsym.fit(
+                log, model, effects=["gain_mismatch", "offset_error"], solver="direct", loss="none"
+            )
+            true = {"gain": (1 + gains) / (1 + gains).mean() - 1, "offset_error": offsets}
+            for name, own in z.items():
+                at = [k for k, n in enumerate(fit.model.names) if n.startswith(f"{name}_")]
+                own.append((fit.values[at] - true[name]) / fit.std[at])
+            said = ", ".join(f"{n} {np.abs(own[-1]).max():.2f}" for n, own in z.items())
+            print(f"{model} {seed}: {len(gains)} channels, largest {said}", flush=True)
+        for name, own in z.items() if many else ():
+            every = np.concatenate(own)
+            print(f"{model}, {name}: {len(every)}, largest {np.abs(every).max():.2f}, "
+                  f"rms {np.sqrt(np.mean(every**2)):.3f}")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
