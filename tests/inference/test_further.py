@@ -58,14 +58,14 @@ def test_a_turned_mover_tells_tilts_of_all_sensors_from_their_places():
     """Common place d, tilt t, phases f1 and f5 of the harmonics, zero x of the turned mover, k = 1:
 
     d + t + f1, d + t - f1 - x, 5 d + t + f5 and 5 d + t - f5 - 5 x are read. Turned, d = x / 2 is left free
-    with f1 and f5, but t is not; by itself the log leaves d and t free.
+    with f1 and f5, but t is not; by itself the log leaves d and t free. With the gauge d = 0, f1 follows.
     """
     model = build("halbach", added=("sensor_position_error", "sensor_tilt"))
     found = judged(model, sweeps(GAP, 4.8e-3, WIDER), a5=-6e-4, b1=0.1, b5=-8e-4)
     assert (found.practical.rank, found.practical.of) == (8, 10)
     gap, turned = found.further
     assert (gap.rank, turned.rank) == (8, 9)
-    assert set(turned.determined) == {f"tiltx_{k}" for k in range(3)}
+    assert set(turned.determined) == {"b1", *(f"tiltx_{k}" for k in range(3))}
 
 
 @pytest.mark.parametrize("name", ["halbach", "halbach_planar"])
