@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.families.halbach.finite import MARGIN, missing_of
+from hallsym.families.halbach.finite import MARGIN, missing
 from hallsym.families.halbach.layout import Array, Sensor, arrays, sensors
 from hallsym.log import Fault
 from hallsym.model import Inspection, Model, on_arrays
@@ -107,7 +107,7 @@ def _of_ends(known: dict[str, Array], pose: np.ndarray, name: str) -> Iterator[s
 def _left_out(model: Model, known: dict[str, Array], pose: np.ndarray, planar: bool) -> Iterator[str]:
     """Note how much of the field the ends of the arrays take, where a model takes them for endless."""
     largest, where = 0.0, next(iter(known.values()))
-    missing = {name: on_arrays(missing_of(array)) for name, array in known.items()}
+    ends = {name: on_arrays(missing(array)) for name, array in known.items()}
     for sensor in sensors(model.layout):
         array = known[sensor.array] if planar else where
         if planar:
@@ -115,7 +115,7 @@ def _left_out(model: Model, known: dict[str, Array], pose: np.ndarray, planar: b
             u, gap = seen[0], -seen[2]
         else:
             u, gap = sensor.middle[0] - pose[0], pose[1]
-        taken = np.hypot(*missing[array.name]([u], [gap]))
+        taken = np.hypot(*ends[array.name]([u], [gap]))
         share = float((taken * np.exp(array.wavenumber * (gap - array.level_m)))[0].max())
         if share > largest:
             largest, where = share, array

@@ -4,7 +4,7 @@ Where a machine states length and width, what ends take is a polynomial of the p
 (`Ends`), fitted to the closed form of cuboids; else `missing`, in two dimensions, serves `array_edges`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
@@ -49,24 +49,32 @@ def finite(array: Array, u: ca.SX, gap: ca.SX) -> tuple[ca.SX, ca.SX]:
     In units of the first harmonic of the endless array at its level: deep under a long array they are
     cos k u and -sin k u times exp(-k (gap - level)), with small fifth and ninth harmonics.
     """
-    n, q = array.magnets_per_period, array.wavenumber
-    size = float(np.exp(q * array.level_m) / filled(array, 1) / (2 * pi))
+    size = float(np.exp(array.wavenumber * array.level_m) / filled(array, 1) / (2 * pi))
     borders, numbers = magnets_of(replace(array, middle_magnet=0))
-    corners = []
+    parts = single_magnets(array, u, gap, borders, numbers)
+    return size * sum((s for s, _ in parts), ca.SX(0)), size * sum((q for _, q in parts), ca.SX(0))
+
+
+def single_magnets(
+    array: Array, u: ca.SX, gap: ca.SX, borders: Iterable[float], numbers: Iterable[int]
+) -> list[tuple[ca.SX, ca.SX]]:
+    """Return the vertical field of each of m magnets, and of the same turned by a quarter, times 2 pi.
+
+    In units of the remanence. `borders`: (m + 1,) from the middle [m]; `numbers`: (m,), 0 points to sensors.
+    """
+    corners, out = [], []
     for border in borders:
         away = u - float(border)
         low, high = (away**2 + g**2 for g in (gap, gap + array.height))
         # the difference of two angles as one: it has no step where the border passes over the sensor
         turn = -ca.atan2(away * array.height, away**2 + gap * (gap + array.height))
         corners.append((ca.log(high / low) / 2, turn))
-    straight, quarter = ca.SX(0), ca.SX(0)
     for j, i in enumerate(numbers):
         re, im = (corners[j][c] - corners[j + 1][c] for c in (0, 1))
-        angle = pi / 2 - 2 * pi / n * int(i)
+        angle = pi / 2 - 2 * pi / array.magnets_per_period * int(i)
         cos, sin = round(np.cos(angle), 15), round(np.sin(angle), 15)
-        straight = straight + cos * re - sin * im
-        quarter = quarter + sin * re + cos * im
-    return size * straight, size * quarter
+        out.append((cos * re - sin * im, sin * re + cos * im))
+    return out
 
 
 def endless(array: Array, u: ca.SX, gap: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -77,15 +85,9 @@ def endless(array: Array, u: ca.SX, gap: ca.SX) -> tuple[ca.SX, ca.SX]:
     return cos, -sin
 
 
-def missing(array: Array, u: ca.SX, gap: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return what the ends of the array take from the field of the endless one; zero far from them."""
-    straight, quarter = missing_of(array)(u, gap)
-    return straight, quarter
-
-
 @cache
-def missing_of(array: Array) -> ca.Function:
-    """Return `(u, gap) -> straight, quarter` of `missing`; made once, it is called for every element."""
+def missing(array: Array) -> ca.Function:
+    """Return `(u, gap) -> straight, quarter`, what ends take from the endless array: zero far from them."""
     u, gap = ca.SX.sym("u"), ca.SX.sym("gap")
     own, all_ = finite(array, u, gap), endless(array, u, gap)
     return ca.Function("missing", [u, gap], [own[0] - all_[0], own[1] - all_[1]])

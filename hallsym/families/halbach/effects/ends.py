@@ -185,7 +185,7 @@ def _missing_at(s: Signals, model: Model, k: int, reads: str) -> list[tuple[ca.S
         u, gap = (s["turn"] * (x - s["x_m"]), s["z_m"]) if still else (seen.u, seen.height)
         if reads == "nearest":
             u = nearest(array, u, len(places))
-        straight, quarter = missing(array, u, gap)
+        straight, quarter = missing(array)(u, gap)
         if still:
             named = f"ends at {x:g} m ({reads} of {len(places)}, {s['turn']})"
             straight, quarter = s.derive(f"{named}, cos", straight), s.derive(f"{named}, sin", quarter)

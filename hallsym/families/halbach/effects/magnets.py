@@ -11,7 +11,7 @@ from types import MappingProxyType
 import casadi as ca
 import numpy as np
 
-from hallsym.families.halbach.finite import filled
+from hallsym.families.halbach.finite import filled, single_magnets
 from hallsym.families.halbach.layout import Array, arrays, sensors
 from hallsym.families.halbach.links import Seen
 from hallsym.families.mechanisms import P, free
@@ -78,19 +78,12 @@ def _magnets(array: Array, which: tuple[int, ...]) -> ca.Function:
     """`(u, height, up, along, size, shares, turns) -> field`; made once, it is called often."""
     u, height, up, along, size = symbols = [ca.SX.sym(n) for n in ("u", "height", "up", "along", "size")]
     n, shares, turns = array.magnets_per_period, *(ca.SX.sym(f, len(which)) for f in ("shares", "turns"))
-    corners = {}
-    for edge in sorted({*which, *(i + 1 for i in which)}):
-        away = u - (edge - 0.5) * array.wavelength_m / n
-        low, high = (away**2 + g**2 for g in (height, height + array.height))
-        # the difference of two angles as one: it has no step where the border passes over the sensor
-        turn = -ca.atan2(away * array.height, away**2 + height * (height + array.height))
-        corners[edge] = ca.log(high / low) / 2, turn
+    span = range(which[0], which[-1] + 1)
+    borders = [(i - 0.5) * array.wavelength_m / n for i in (*span, span.stop)]
+    parts = dict(zip(span, single_magnets(array, u, height, borders, span), strict=True))
     field = ca.SX(0)
     for j, i in enumerate(which):
-        re, im = (corners[i][c] - corners[i + 1][c] for c in (0, 1))
-        angle = pi / 2 - 2 * pi / n * i  # of the magnet's direction from the period's axis
-        cos, sin = np.cos(angle), np.sin(angle)
-        real, imag = cos * re - sin * im, sin * re + cos * im  # of m Q: Bw and Bu times 2 pi
+        real, imag = parts[i]  # of m Q: Bw and Bu times 2 pi
         field += shares[j] * (up * real + along * imag) + turns[j] * (along * real - up * imag)
     return ca.Function("magnets", [*symbols, shares, turns], [size * field])
 

@@ -45,5 +45,5 @@ def _taken(e: Seen) -> ca.SX:
 def _function(array: Array) -> ca.Function:
     """`(u, height, up, along) -> reading`; a quarter turn of the magnets takes the vertical field along."""
     u, height, up, along = symbols = [ca.SX.sym(n) for n in ("u", "height", "up", "along")]
-    vertical, horizontal = missing(array, u, height)
+    vertical, horizontal = missing(array)(u, height)
     return ca.Function("ends", symbols, [up * vertical + along * horizontal])
