@@ -52,6 +52,7 @@ def test_rates_of_mistakes() -> None:
         ("reading x 1000, log", "homed", "2940.0"),  # of decades that do as well the one of a unit
         ("zero of a reference moved, few", "drawn", "2940.0"),  # inches would leave no noise of a reference
         ("reference averaged over 3, log", "stage31", "2944.0"),  # ends of runs are left out as spikes
+        ("all references of 5 bits, log", "halbach", "2955.0"),  # their rounding is estimated as their noise
     ],
 )
 def test_the_right_one_of_several_hypotheses_is_named(kind: str, family: str, seed: str) -> None:
@@ -68,6 +69,8 @@ def test_the_right_one_of_several_hypotheses_is_named(kind: str, family: str, se
         ("reference in counts, log", "drawn", "2944.0"),  # a gain makes up for a factor of two
         ("reading 20 samples off, run", "chip", "2945.0"),  # late by a third of a turn, held at its beginning
         ("reading 20 samples off, log", "homed", "2951.0"),  # without what it holds one run would be odd
+        ("all readings x 0.001, log", "rotary", "2955.0"),  # amplitudes make up for each power of ten
+        ("all readings averaged over 9, log", "halbach", "2955.0"),  # what no noise is as large as
     ],
 )
 def test_what_no_correction_explains_is_noticed_without_one(kind: str, family: str, seed: str) -> None:
@@ -77,9 +80,16 @@ def test_what_no_correction_explains_is_noticed_without_one(kind: str, family: s
 
 
 @pytest.mark.slow
-def test_sweeps_there_and_back_with_hysteresis_are_not_of_two_devices() -> None:
-    """Every second run goes back: parameters of its own describe it, and so does play."""
-    assert judged("hysteresis", "rotary", "10.0").claims == []
+@pytest.mark.parametrize(
+    ("kind", "family", "seed"),
+    [
+        ("hysteresis", "rotary", "10.0"),  # every second run goes back: play differs there too
+        ("temperature drift", "stage31", "2953.0"),  # one calibration describes all runs nearly
+        ("temperature drift", "drawn", "2953.0"),  # parameters of their own leave more than noise
+    ],
+)
+def test_runs_that_effects_make_differ_are_not_of_another_device(kind: str, family: str, seed: str) -> None:
+    assert judged(kind, family, seed).claims == []
 
 
 @pytest.mark.slow
