@@ -331,6 +331,17 @@ def row_per_value(file: Path, columns: Columns) -> None:
     file.write_text("\n".join([",table,time_s,channel,value,_measurement", *rows, ""]), encoding="utf-8")
 
 
+def annotated_series(file: Path, columns: Columns) -> None:
+    """One series after the other below annotations, as InfluxDB exports them."""
+    t = columns.pop("_time")
+    rows = [f",,{j},{t[0]},{t[-1]},{t[k]},{x[k]:.10g},{name},stage"
+            for j, (name, x) in enumerate(columns.items()) for k in range(len(t))]  # fmt: skip
+    notes = ["#group,false,false,true,true,false,false,true,true",
+             "#datatype,string,long,dateTime:RFC3339,dateTime:RFC3339,dateTime:RFC3339,double,string,string",
+             ",result,table,_start,_stop,_time,_value,_field,_measurement"]  # fmt: skip
+    file.write_text("\n".join([*notes, *rows, ""]), encoding="utf-8")
+
+
 def words_between(file: Path, columns: Columns) -> None:
     """What a board prints besides its numbers, before, between and after them."""
     text()(file, columns)
@@ -897,6 +908,8 @@ FILES: dict[str, LabFile] = {
     "SQLite": LabFile(saved("log.sqlite", database, "{name}_{unit}", UNDER)),
     "a row per value": LabFile(saved("series.csv", row_per_value, SNAKE,
                                      {c: n.lower() for c, n in UNDER.items()}, clock=("time_s", as_it_is))),
+    "one series after the other": LabFile(saved("influx.csv", annotated_series, SNAKE, {
+        c: n.lower() for c, n in UNDER.items()}, clock=("_time", stamps))),
     "exponents with D": LabFile(saved("out.dat", fortran, SNAKE, UNDER)),
     "units in cells": LabFile(saved("cells.csv", units_in_cells, ASIDE)),
     "names come again": LabFile(one_behind_another),

@@ -1110,7 +1110,7 @@ def _in_runs(trials: Trials, base: Tried, odd: Sequence[int]) -> list[Found]:
             elif (lost := lost + over.get(r, 0.0)) > may_stay:
                 break
         out = _fewest(trials, out)
-    if sum(over.get(r, 0.0) for r in left) > may_stay and not _one_way(trials, odd):
+    if sum(over.get(r, 0.0) for r in left) > may_stay:
         out = _other_device(trials, now, odd, max(base.mean(base.left), 1.0)) or out
     return out
 
@@ -1147,26 +1147,6 @@ def _one_gain(trials: Trials, c: Correction, runs: list[int]) -> Correction | No
         if not known or not before or abs(known.numbers[0] / before.numbers[0] - 1) < SETTLED:
             break
     return known
-
-
-SWEPT = 0.8
-"""Share of its range by which a run that is one sweep ends away from its beginning: the rest is noise."""
-
-
-def _one_way(trials: Trials, odd: Sequence[int]) -> bool:
-    """Return whether these runs sweep one way along a reference and all others sweep it back.
-
-    Then play or hysteresis would make them differ too, and the log does not tell it from another device.
-    """
-    for reference in trials.model.references:
-        ways: tuple[set[float], set[float]] = set(), set()
-        for run, at in trials.spans:
-            x = trials.full[reference][at]
-            swept = abs(x[-1] - x[0]) > SWEPT * np.ptp(x)
-            ways[run in odd].add(float(np.sign(x[-1] - x[0])) if swept else 0.0)
-        if ways in (({1.0}, {-1.0}), ({-1.0}, {1.0})):
-            return True
-    return False
 
 
 def _of(c: Correction, runs: Sequence[int]) -> Correction:

@@ -165,10 +165,10 @@ def by_rows(source: Source, where: str) -> Source:
     return _parted(source, where, "channels in rows of their own", parts)
 
 
-MOST_NAMES = 6
+MOST_NAMES = 12
 """Columns of a table with a row per value at most: time, run, name, value, and what a database adds."""
 LOOKED_AT = 1000
-"""Rows that are looked at to see whether names come again."""
+"""Rows that are looked at to see which columns vary."""
 
 
 def by_signal(source: Source, where: str) -> Source:
@@ -180,16 +180,20 @@ def by_signal(source: Source, where: str) -> Source:
     """
     if not 3 <= len(source.names) <= MOST_NAMES:
         return source
-    columns = {name: cells for name, cells in _head(source, LOOKED_AT).items() if len(set(cells)) > 1}
+    head = _head(source, LOOKED_AT)
+    columns = {name: cells for name, cells in head.items() if len(set(cells)) > 1}
     words = [name for name, cells in columns.items() if not any(map(is_number, cells))]
     stems = {name: split_unit(split_header(name)[0])[0].lower().strip("_") for name in source.names}
     stamps = [name for name in columns if stems[name] in TIME_WORDS]
     names = [name for name in words if name not in stamps]
-    kinds = len(set(columns[names[0]])) if names else 0
+    if not names and len(columns) == len(stamps) + 1:  # one signal after the other
+        same = (name for name in head if name not in columns and not any(map(is_number, head[name])))
+        names = [name for name in same if len(set(source.labels(name))) > 1]
+    kinds = len(set(head[names[0]])) if names else 0
     numbers = [
         name for name, cells in columns.items()
         if name not in (*words, *stamps) and stems[name] not in RUN_WORDS
-        and len({*zip(cells, columns[names[0]] if names else cells, strict=True)}) > kinds
+        and len({*zip(cells, head[names[0]] if names else cells, strict=True)}) > kinds
     ]  # fmt: skip
     if len(names) != 1 or len(numbers) != 1 or numbers[0] in source.units or split_unit(numbers[0])[1]:
         return source
