@@ -381,8 +381,9 @@ class ResidualNoise:
     independent; `whiteness_p`: probability that white noise is as correlated. `correlation`: of neighbouring
     samples, `memory`: variance of a slow average over that of white noise, `coefficients`: (ORDER,) of the
     autoregression, the same for all sensors. `bounded`: whether its kurtosis is below that of Gaussian noise,
-    such as of a wave, a sweep or steps between levels: no noise. `samples`: number used. `within`: factor
-    within which it is the noise, if it includes a gap.
+    such as of a wave, a sweep or steps between levels: no noise. `resolved`: whether the samples resolve
+    functions of the place over the whole travel. `samples`: number used. `within`: factor within which it is
+    the noise, if it includes a gap.
     """
 
     ratio: float
@@ -395,6 +396,7 @@ class ResidualNoise:
     memory: float = 1.0
     coefficients: tuple[float, ...] = (0.0,) * ORDER
     bounded: bool = False
+    resolved: bool = True
     samples: int = 0
     within: float = 2.0
 
@@ -436,11 +438,12 @@ class ResidualNoise:
         """Return whether this noise alone explains an error worth reporting, `over` times a floor.
 
         `in_pose`: error by this noise over the floor, which is known within `uncertain`. Waves, steps between
-        levels and slow changes added to the stated noise are no noise.
+        levels and slow changes added to the stated noise are no noise; nor is what is correlated from sample
+        to sample where it may follow the place as well.
         """
         limit = limit_of(uncertain, threshold)
-        sure = self.interval[0] > (1 + KNOWN) * uncertain and not self.bounded and not self.slow_on_top
-        return sure and limit < over <= in_pose * limit
+        sure = self.interval[0] > (1 + KNOWN) * uncertain and (self.white or self.resolved)
+        return sure and not (self.bounded or self.slow_on_top) and limit < over <= in_pose * limit
 
 
 @dataclass(frozen=True, eq=False)
@@ -668,6 +671,9 @@ SHARE = 20
 """Samples for each function, at least: fewer functions are tried on a short log."""
 CURVE, WAVES, TIMES, PLACES = 12, 12, 8, 4
 """Cosines over a coordinate, waves per period, cosines over the time of the log, and over two coordinates."""
+FINE = 8
+"""Cosines per period over a travel of several: waves down to a quarter of it; shorter ones have faded at the
+sensors."""
 MEMORIES = (0.05, 0.15, 0.4, 1.0)
 """Half-widths of the play that a residual may follow, over the standard deviation of the coordinate."""
 STILL = 5.0
@@ -711,10 +717,11 @@ def _noise_of(
     data, values, used = read
     if not log.timed:
         return _noise_of_knots(model, data, values[:, used], covariance, used)
-    finite = (row for row in _columns(model, data, sigma) if np.all(np.isfinite(row)))
-    columns = np.array([*islice(finite, int(used.sum()) // SHARE)]).reshape(-1, len(used))
+    finite, most = (r for r in _columns(model, data, sigma) if np.isfinite(r).all()), int(used.sum()) // SHARE
+    columns = np.array([*islice(finite, most)]).reshape(-1, len(used))
     found = Residual(values, covariance, data["run"], columns, used, bool(model.offsets))
-    return residual_noise(found, model.channels)
+    noise = residual_noise(found, model.channels)
+    return noise and replace(noise, resolved=sum(_along(model, data).values()) <= most / 2)
 
 
 def _is_known(read: "_Read", model: Model, covariance: np.ndarray) -> bool:
@@ -916,6 +923,8 @@ def _columns(model: Model, data: Data, sigma: Mapping[str, float]) -> Iterator[n
         yield from _within_runs(data["t_s"], lines, edges)
     yield from (a * b for a, b in combinations(s, 2))
     yield from (a * a for a in s)
+    for c, count in _along(model, data).items():
+        yield from _cosines(_unit(place[c]), count)
     waves = [_cosines(x, CURVE) for x in lines.values()]
     for k in range(1, CURVE):
         yield from (wave[k] for wave in waves)
@@ -924,6 +933,16 @@ def _columns(model: Model, data: Data, sigma: Mapping[str, float]) -> Iterator[n
         yield from (w * x for w in (np.abs(v), v * np.abs(v), v, np.tanh(v / TURNS), a) for x in (1.0, *q))
     for one, other in combinations(waves, 2):
         yield from (x * y for x in one[:PLACES] for y in other[:PLACES])
+
+
+def _along(model: Model, data: Data) -> dict[str, int]:
+    """Return how many cosines resolve the travel of each coordinate that goes over several magnets' periods.
+
+    A turn in angle is the same place again; a further period is other magnets.
+    """
+    lengths = [c for c in model.references if c in model.period and c.endswith("_m")]
+    periods = {c: float(np.ptp(data[c])) / model.period[c] for c in lengths}
+    return {c: int(np.ceil(FINE * n)) for c, n in periods.items() if n > 1}
 
 
 def _cosines(x: np.ndarray, most: int) -> np.ndarray:
