@@ -16,6 +16,7 @@ BOX |= {"z_m": (0.004, 0.01)}
 MODELS = [
     pytest.param("halbach", (), 0.01, id="waves"),
     pytest.param("halbach", ("first_order_lag",), 0.01, id="waves and what the motion was before"),
+    pytest.param("halbach", ("magnet_map",), 0.01, id="each magnet"),
     pytest.param("halbach_planar", (), 0.02, id="six coordinates", marks=pytest.mark.slow),
 ]
 

@@ -60,7 +60,8 @@ class Array:
 
     `ends`: whether a model has the ends of the array. `middle_magnet`: which magnet is at its middle, in half
     magnets from the one that points to the sensors; odd: the border of two. `known_m`: least and greatest x
-    (of six coordinates also y) and gap over which a model has the ends; empty for the usual travel.
+    (of six coordinates also y) and gap over which a model has the ends and maps magnets; empty for the usual
+    travel.
     `middle_m`: place of its middle beside its centre when the mover is at zero. `rival`: by how many half
     magnets another one may be in the middle, which a log tells hardly from it; 0: none.
     """
@@ -118,6 +119,16 @@ class Array:
         """Return least and greatest of one or two coordinates `plane` and of the gap, (plane + 1, 2) [m]."""
         usual = [*(plane * [-USUAL_TRAVEL, USUAL_TRAVEL]), *USUAL_GAPS]
         return np.array(self.known_m or [self.wavelength_m * v for v in usual]).reshape(plane + 1, 2)
+
+    @property
+    def under(self) -> tuple[float, float]:
+        """How far sensors go along it from where they are at zero [m]; half a wavelength if unknown."""
+        if not self.known_m:
+            return -self.wavelength_m / 2, self.wavelength_m / 2
+        if len(self.known_m) == 4:  # of the mover, against which the sensors go
+            return -self.known_m[1], -self.known_m[0]
+        low, high = self.box(2)[self.axis].tolist()
+        return low, high
 
     @property
     def wavenumber(self) -> float:

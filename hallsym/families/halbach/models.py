@@ -22,6 +22,7 @@ from hallsym.errors import InputError
 from hallsym.families.halbach import finite, links
 from hallsym.families.halbach.checks import inspect
 from hallsym.families.halbach.layout import (
+    USUAL_TRAVEL,
     Array,
     Layout,
     Sensor,
@@ -353,12 +354,17 @@ def with_ends(entry: Mapping[str, Any]) -> Mapping[str, Any]:
 def _settled(layout: Layout, meta: Meta) -> Layout:
     """Return the layout with what its log says of its array: travel, and which magnet is in the middle.
 
-    A file states that magnet by `middle_magnet`. Without a log it points to the sensors.
+    A file states that magnet by `middle_magnet`. Without a log it points to the sensors. Of an array without
+    ends only a travel beyond the usual one counts.
     """
     array = array_of(layout)
-    if not array.ends or array.known_m:
+    if array.known_m:
         return layout
     log = meta.sample((*REFERENCES, *(s.channel for s in sensors(layout))))
+    if not array.ends:
+        known = travel(array.wavelength_m, log[:2]) if len(log) else ()
+        longer = known and max(-known[0], known[1]) > USUAL_TRAVEL * array.wavelength_m
+        return (*sensors(layout), replace(array, known_m=known)) if longer else layout
     if len(log):
         stated = any("middle_magnet" in entry for entry in meta.raw.get("arrays", ()))
         array = replace(array, known_m=travel(array.wavelength_m, log[:2]))

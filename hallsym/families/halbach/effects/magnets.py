@@ -30,15 +30,16 @@ LIMIT = 5.0
 def segments(model: Model) -> list[tuple[str, int]]:
     """Return array and number of the magnets that sensors see, counted from the array's crest.
 
-    Those within a wavelength beyond the outermost sensors, half of it for the stroke: the field of a magnet
-    farther off has faded to what the others can make.
+    Those within half a wavelength beyond the outermost sensors at the ends of the travel: the field of
+    a magnet farther off has faded to what the others can make.
     """
     out = []
     for name, array in arrays(model.layout).items():
         pitch, i = array.wavelength_m / array.magnets_per_period, array.axis
         own = [s.middle[i] - array.centre[i] for s in sensors(model.layout) if s.array in ("", name)]
         if own:
-            low, high = min(own) - array.wavelength_m, max(own) + array.wavelength_m
+            near, far = array.under
+            low, high = min(own) + near - array.wavelength_m / 2, max(own) + far + array.wavelength_m / 2
             most = array.length_m / 2
             first, last = (int(np.trunc(np.clip(end, -most, most) / pitch)) for end in (low, high))
             out += [(name, number) for number in range(first, last + 1)]
@@ -95,19 +96,24 @@ def _of_each(model: Model, effect: str, shares: str = "", turns: str = "") -> Mo
     """Return the model whose magnets differ by parameters of these names, `{}` the magnet's; none if empty.
 
     Where both are, all magnets of a single array alike are its amplitude and its place, and every second
-    one stronger and the others weaker by as much is a field on its far side alone: the two magnets in the
-    middle of the sensors stay as they are, and others are counted from them.
+    one stronger and the others weaker by as much is a field on its far side alone. So of the magnets under
+    the sensors' travel those of even and those of odd number have a mean of zero each: two of them, in the
+    middle, follow from the others.
     """
     which = segments(model)
     several = len(arrays(model.layout)) > 1
-    if shares and turns and not several:
-        del which[len(which) // 2 : len(which) // 2 + 2]
     labels = {(array, i): f"{array}_{i}" if several else f"{i}" for array, i in which}
+    middle = which[len(which) // 2 : len(which) // 2 + 2] if shares and turns and not several else []
+    ends = next(iter(arrays(model.layout).values())).magnets_per_period // 2
+    sums = {m: [k for k in which[ends:-ends] if (k[1] - m[1]) % 2 == 0 and k != m] for m in middle}
+    labels = {key: n for key, n in labels.items() if key not in middle}
 
     def step(s: Signals, p: P) -> None:
         parts = [
             {key: p[name.format(n)] for key, n in labels.items()} if name else {} for name in (shares, turns)
         ]
+        for part in parts:
+            part |= {m: -sum((part[k] for k in others), ca.SX(0)) for m, others in sums.items()}
         s["field"] = s["field"] + of_magnets(s, model, *parts)
 
     new = [
