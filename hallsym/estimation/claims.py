@@ -660,7 +660,10 @@ def _screen(trials: Trials, base: Tried) -> Callable[[Correction], float]:
 
     def screened(c: Correction) -> float:
         found = trials.at((c,), base.p, runs)
-        return base.rest(found and replace(found, p=refit(found.cost, base.p, (), CLOSELY, SETTLING)))
+        try:
+            return base.rest(found and replace(found, p=refit(found.cost, base.p, (), CLOSELY, SETTLING)))
+        except np.linalg.LinAlgError:  # its noise is beyond numbers
+            return np.inf
 
     return screened
 
