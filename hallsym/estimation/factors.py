@@ -53,7 +53,8 @@ BY_RUN = ("triangles", "slopes", "counts", "first_state", "mean_state")
 class RunStatistics:
     """The run statistics of a log for one model.
 
-    `triangles`: (runs, n, n), n = n_features + n_channels, readings last.
+    `triangles`: (runs, m, n), n = n_features + n_channels, readings last; m rows, n at most: as many as the
+    longest run has samples where these are fewer.
     `slopes`: (runs, pairs), mean product of d feature i / d column and d feature j / d column for each entry
     of `features.slope_pairs`: how noise of a logged column, pose or state, enters the residual. Where the
     noise of the columns is known (`features.std`), of all together.
@@ -109,6 +110,11 @@ class RunStatistics:
         model, powers, columns = self.model, self.features.exponents, self.logged
         taken = [sources.get(c, (c, 1.0)) for c in columns]
         sources_of = [sources.get(c, (c, 1.0)) for c in model.channels]
+        if not {*columns} & {*sources} and all(c in model.channels for c, _ in sources_of):
+            readings = [self.features.size + model.channels.index(c) for c, _ in sources_of]
+            triangles = self.triangles.copy()
+            triangles[:, :, self.features.size :] = self.triangles[:, :, readings] * [f for _, f in sources_of]
+            return replace(self, triangles=triangles)
         if {*columns} & {*sources} and (powers.shape[1] > len(columns) or self.places):
             return None
         if any(c not in columns for c, _ in taken) or any(c not in model.channels for c, _ in sources_of):
@@ -176,9 +182,10 @@ def joined(parts: Sequence[RunStatistics]) -> RunStatistics:
         raise ValueError("run statistics are joined where they have one centre")
     if len(set(runs := [run for part in parts for run in part.runs])) != len(runs):
         raise ValueError("run statistics are joined where each run stands in one of them")
-    arrays: dict[str, Any] = {n: np.concatenate([getattr(part, n) for part in parts]) for n in BY_RUN}
+    arrays: dict[str, Any] = {n: np.concatenate([getattr(part, n) for part in parts]) for n in BY_RUN[1:]}
+    triangles = _stacked([own for part in parts for own in part.triangles])
     places = tuple(place for part in parts for place in part.places)
-    return replace(first, runs=tuple(runs), places=places, **arrays)
+    return replace(first, runs=tuple(runs), places=places, triangles=triangles, **arrays)
 
 
 def summarise(
@@ -244,7 +251,7 @@ def summarised(
         features=features,
         centre=centre,
         runs=tuple(runs),
-        triangles=np.array(triangles),
+        triangles=_stacked(triangles),
         slopes=slopes / np.maximum(looked, 1.0),
         counts=counts[:, 0].copy(),
         first_state=np.array(first_state),
@@ -322,16 +329,20 @@ def _thinned(places: np.ndarray) -> np.ndarray:
 
 
 def _triangle(rows: np.ndarray) -> np.ndarray:
-    """R factor of each of several blocks (b, rows, n), padded to squares; tall ones are reduced in pieces."""
+    """R factor of each of several blocks (b, rows, n), n rows at most; tall ones are reduced in pieces."""
     b, _, n = rows.shape
     piece = max(PIECE // n, 4 * n)
     while (count := -(-rows.shape[1] // piece)) > 1:
         even = rows.shape[1] // count * count
         pieces = _r(rows[:, :even].reshape(b, count, -1, n)).reshape(b, count * n, n)
         rows = np.concatenate([pieces, rows[:, even:]], axis=1)
-    if (few := n - rows.shape[1]) > 0:
-        rows = np.concatenate([rows, np.zeros((b, few, n))], axis=1)
     return _r(rows)
+
+
+def _stacked(triangles: Sequence[np.ndarray]) -> np.ndarray:
+    """Return R factors (rows, n) of several runs as one array, filled up with zeros to the most rows."""
+    most = max((len(own) for own in triangles), default=0)
+    return np.array([np.pad(own, ((0, most - len(own)), (0, 0))) if len(own) < most else own for own in triangles])
 
 
 def projected(triangles: np.ndarray, k: int) -> np.ndarray:
@@ -352,6 +363,8 @@ def _r(matrices: np.ndarray) -> np.ndarray:
 
 # -- triangles of tangents -----------------------------------------------------------------------------------
 
+STEP = 1e-6
+"""Step of differences over the largest value of a column: slopes are good to six digits."""
 READINGS, SAMPLES, SMALLEST = 360, 40, 5.0
 """Fewest readings, and poses and states, for the structural null directions; and decades below 1 [SI] by
 which every second of them may be smaller: a stage moves by 1e-4 m."""
@@ -374,7 +387,7 @@ def exact(model: Model) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """The features of a model's tangents and their slopes as functions of (p, offsets, pose, state).
+    """The features of a model's tangents as functions of (p, offsets, pose, state).
 
     `entries`: (channel, parameter) of each entry of J_p that is not always 0; `zero_entries`: those of
     J_z. The features are those of J_z, then of J_p, then the bracket of each channel.
@@ -383,7 +396,6 @@ class Program:
     entries: tuple[tuple[int, int], ...]
     zero_entries: tuple[tuple[int, int], ...]
     values: Callable[..., list[np.ndarray]]
-    slopes: Callable[..., list[np.ndarray]]
     slope_sparsity: ca.Sparsity
     by_parameter: Callable[..., list[np.ndarray]]
 
@@ -405,13 +417,11 @@ def program(model: Model) -> Program:
     rest = reading - by_z @ s.offsets if s.offsets.numel() else reading
     rows = ca.vertcat(*(by_z[k, j] for k, j in zero_entries), *(by_p[k, j] for k, j in entries), rest)
     inputs = [s.parameters, s.offsets, s.pose, s.state]
-    slopes = ca.jacobian(rows, ca.vertcat(s.pose, s.state))
     return Program(
         entries,
         zero_entries,
         on_arrays(ca.Function("tangents", inputs, [ca.densify(rows)])),
-        on_arrays(ca.Function("tangent_slopes", inputs, [ca.densify(slopes)])),
-        slopes.sparsity(),
+        ca.jacobian_sparsity(rows, ca.vertcat(s.pose, s.state)),
         on_arrays(ca.Function("by_parameter", inputs, [ca.densify(by_p)])),
     )
 
@@ -457,10 +467,29 @@ class TangentFeatures(Features):
     def slopes(self) -> Callable[..., list[np.ndarray]]:
         """`(pose, state, offsets) -> [d feature / d column]`, all of them, (n_columns * n_features, samples).
 
-        Taken at offsets of 0: the weight of a residual does not depend on the offsets.
+        Taken at offsets of 0: the weight of a residual does not depend on the offsets. By differences: a
+        weight needs no more digits, and derivatives of the tangent take eight times the operations. Columns
+        without noise have no weight, and a slope of 0 here.
         """
-        run = program(self.model).slopes
-        return lambda pose, state, offsets: run(self.at, np.zeros_like(offsets), pose, state)
+        values, noisy = self.values, np.flatnonzero(self.noise)
+
+        def slopes(
+            pose: Sequence[np.ndarray], state: Sequence[np.ndarray], offsets: np.ndarray
+        ) -> list[np.ndarray]:
+            columns = np.array([*pose, *state])
+            count, samples = columns.shape
+            step = STEP * np.maximum(np.abs(columns).max(axis=1, initial=0.0), STEP)
+            moved = np.repeat(columns[:, None], 1 + len(noisy), axis=1)
+            moved[noisy, 1 + np.arange(len(noisy))] += step[noisy, None]
+            step = moved[noisy, 1 + np.arange(len(noisy))] - columns[noisy]  # as rounded
+            flat = moved.reshape(count, -1)
+            none = np.zeros((len(offsets), flat.shape[1]))
+            found = values(flat[: len(pose)], flat[len(pose) :], none)[0].reshape(self.size, -1, samples)
+            out = np.zeros((count, self.size, samples))
+            out[noisy] = np.swapaxes(found[:, 1:] - found[:, :1], 0, 1) / step[:, None]
+            return [out.reshape(-1, samples)]
+
+        return slopes
 
     def linear(self, p: np.ndarray) -> tuple[np.ndarray, Rows]:
         """Return the coefficients at p, (1 + z, n_features, K), and their slopes, constant, where not nil."""
