@@ -7,14 +7,17 @@ from itertools import permutations, product
 
 import numpy as np
 import pytest
+from recordings import Size, mistaken
 from scipy.signal import lfilter
 from twins import COLUMNS, HALL, SIGMAS, record, same, six_runs, with_noise
 
 from hallsym.errors import InputError
-from hallsym.estimation import fit
+from hallsym.estimation import claims, fit, optimum
 from hallsym.estimation.claims import mistakes_of
+from hallsym.estimation.likelihood import cost_of
+from hallsym.estimation.task import noise_of
 from hallsym.families import build, published
-from hallsym.families.recording import as_corrections
+from hallsym.families.recording import Correction, as_corrections
 from hallsym.log import Log, Meta, Noise, Sigma
 from hallsym.simulation import NoiseModel, paper_campaign, simulate
 from hallsym.simulation.paper import VERTICAL_NOISE
@@ -359,3 +362,44 @@ def test_a_log_that_a_model_with_computed_columns_does_not_describe_is_looked_at
     assert found.value("delay") == pytest.approx(60e-6, rel=0.1)
     assert found.goodness is not None
     assert found.goodness.sentence
+
+
+# -- models without run statistics ---------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def inverted():
+    """A mover of four arrays with one of its 12 sums inverted."""
+    return mistaken("sign of a reading, log", "planar", "5.0", Size(5, 24, 4e-3))
+
+
+def test_a_trial_beyond_numbers_does_not_end_the_search(inverted, monkeypatch):
+    (right,), r, tried = inverted.right, inverted.recording, []
+    channels = [right.split()[1], *(c for c in r.readings if c not in right)][:2]
+
+    def refit(cost, *more):
+        tried.append(cost)
+        if len(tried) == 1:
+            raise np.linalg.LinAlgError("Singular matrix")
+        return optimum.refit(cost, *more)
+
+    monkeypatch.setattr(claims, "refit", refit)
+    monkeypatch.setattr(
+        claims, "hypotheses", lambda *_: iter([Correction("sign", (c,)) for c in reversed(channels)])
+    )
+    assert [one.correction for one in mistakes_of(r.log, r.built)] == [right]
+    assert len(tried) == 2
+
+
+def test_readings_of_a_tangent_are_put_right_without_another_pass(inverted):
+    """The same squares as from the log that is corrected and read again."""
+    r = inverted.recording
+    trials = claims.Trials(r.log, r.built, noise_of(r.log, r.built))
+    a, b = r.readings[:2]
+    p = r.built.nominal
+    for c in (Correction("sign", (a,)), Correction("exchange", (a, b)), Correction("scale", (b,), (0.1,))):
+        quick = trials.at((c,), p, None, merged=True)
+        again = trials._read((c,), None, p, merged=True)
+        found = cost_of(again.summary, again.noise.std).at(p)
+        assert quick.cost.at(p).value == pytest.approx(found.value, rel=1e-9)
+        assert np.allclose(quick.within, again.within, rtol=1e-9)
