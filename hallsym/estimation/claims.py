@@ -1133,11 +1133,10 @@ def _in_runs(trials: Trials, base: Tried, odd: Sequence[int]) -> list[Found]:
             return None
         tried = cache(lambda c: trials.at((_of(c, runs),), p, runs))
         one = trials.at((), p, runs, merged=True) if trials.alike else None
-        screened = (
-            (lambda c: one.rest(trials.at((_of(c, runs),), p, runs, merged=True)))
-            if one
-            else (lambda c: now.rest(tried(c)))
-        )
+
+        def screened(c: Correction) -> float:
+            return one.rest(trials.at((_of(c, runs),), p, runs, merged=True)) if one else now.rest(tried(c))
+
         found = _best(trials, now, tried, screened, runs, known)
         after = found and trials.at((_of(found.correction, runs),), p, runs)
         if not found or not after:

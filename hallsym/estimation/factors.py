@@ -110,14 +110,15 @@ class RunStatistics:
         model, powers, columns = self.model, self.features.exponents, self.logged
         taken = [sources.get(c, (c, 1.0)) for c in columns]
         sources_of = [sources.get(c, (c, 1.0)) for c in model.channels]
-        if not {*columns} & {*sources} and all(c in model.channels for c, _ in sources_of):
-            readings = [self.features.size + model.channels.index(c) for c, _ in sources_of]
-            triangles = self.triangles.copy()
-            triangles[:, :, self.features.size :] = self.triangles[:, :, readings] * [f for _, f in sources_of]
-            return replace(self, triangles=triangles)
-        if {*columns} & {*sources} and (powers.shape[1] > len(columns) or self.places):
-            return None
         if any(c not in columns for c, _ in taken) or any(c not in model.channels for c, _ in sources_of):
+            return None
+        n = self.features.size
+        readings, gains = [n + model.channels.index(c) for c, _ in sources_of], [f for _, f in sources_of]
+        if not {*columns} & {*sources}:  # the features stay, tangents too
+            triangles = self.triangles.copy()
+            triangles[:, :, n:] = self.triangles[:, :, readings] * gains
+            return replace(self, triangles=triangles)
+        if powers.shape[1] > len(columns) or self.places:
             return None
         origin = np.arange(powers.shape[1])
         origin[: len(columns)] = [columns.index(c) for c, _ in taken]
@@ -128,7 +129,6 @@ class RunStatistics:
         if min(place) < 0 or max(place[:k], default=-1) >= k or (origin[refs : len(columns)] < refs).any():
             return None
         size = np.prod(factor**powers, axis=1)
-        readings = [self.features.size + model.channels.index(c) for c, _ in sources_of]
         column, i, j = self.features.slope_pairs
         at = np.array(place)
         pairs = {tuple(pair): n for n, pair in enumerate(np.transpose([column, i, j]).tolist())}
@@ -138,7 +138,7 @@ class RunStatistics:
         return replace(
             self,
             centre=factor * self.centre[origin],
-            triangles=self.triangles[:, :, [*place, *readings]] * [*size, *(f for _, f in sources_of)],
+            triangles=self.triangles[:, :, [*place, *readings]] * [*size, *gains],
             slopes=self.slopes[:, here] * (size[i] * size[j] / factor[column] ** 2),
             first_state=self.first_state[:, state[0]] * state[1],
             mean_state=self.mean_state[:, state[0]] * state[1],
@@ -341,8 +341,10 @@ def _triangle(rows: np.ndarray) -> np.ndarray:
 
 def _stacked(triangles: Sequence[np.ndarray]) -> np.ndarray:
     """Return R factors (rows, n) of several runs as one array, filled up with zeros to the most rows."""
-    most = max((len(own) for own in triangles), default=0)
-    return np.array([np.pad(own, ((0, most - len(own)), (0, 0))) if len(own) < most else own for own in triangles])
+    out = np.zeros((len(triangles), max(map(len, triangles)), triangles[0].shape[1]))
+    for own, filled in zip(triangles, out, strict=True):
+        filled[: len(own)] = own
+    return out
 
 
 def projected(triangles: np.ndarray, k: int) -> np.ndarray:
