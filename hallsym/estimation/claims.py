@@ -722,6 +722,9 @@ def _screen(trials: Trials, base: Tried) -> Callable[[Correction], float]:
 EXPLAINS = 0.9
 """Share of the excess that a correction must explain to be named: one that leaves a tenth of it is near the
 right one, not it."""
+NEARLY_ALL = 0.99
+"""The same of a mistake of the whole log, beyond which mistakes of some runs are not compared with it: they
+would have to explain as much, and what is left may be an effect that the model has not."""
 CUT_OFF = 4.0
 """Mean square that steps leave over step^2/12, at most: of numbers cut off, not rounded, step^2/3."""
 EXCESS = 1.5
@@ -780,7 +783,7 @@ def suspects(trials: Trials) -> list[Found]:
     best = _best(trials, base, lambda c: trials.fitted((c,)), _screen(trials, base), runs)
     after = trials.fitted((best.correction,)) if best else None
     whole = [best] if best and after and _explains(base, after) else []
-    if after and whole and (after.mean(after.left) < EXCESS or _even(after)):
+    if after and whole and (after.mean(after.left) < EXCESS or whole[0].explains > NEARLY_ALL):
         return whole
     found, floor = _of_some_runs(trials, base)
     if after and whole:  # which leaves more than noise: mistakes of some runs may leave less
@@ -791,12 +794,6 @@ def suspects(trials: Trials) -> list[Found]:
         louder = trials.over(floor)
         found = _of_some_runs(louder, again)[0] if (again := louder.fitted()) and again.left else []
     return found
-
-
-def _even(tried: Tried) -> bool:
-    """Return whether no run leaves much more than the others: a mistake of some of them would."""
-    left = [*tried.left.values()]
-    return max(left) < EXCESS * max(float(np.median(left)), 1.0)
 
 
 def _of_some_runs(trials: Trials, base: Tried) -> tuple[list[Found], float]:
