@@ -278,7 +278,7 @@ class Trials:
     model: Model
     noise: Noise
     _last: dict[object, Log] = field(default_factory=dict, init=False)
-    _tangents: dict[object, Read] = field(default_factory=dict, init=False)
+    _tangents: dict[tuple[bytes, tuple[int, ...] | None, bool], Read] = field(default_factory=dict, init=False)
     _noise: dict[str, dict[int, float]] = field(default_factory=dict, init=False)
 
     def over(self, floor: float) -> Trials:
@@ -450,9 +450,9 @@ class Trials:
             found = self.whole
         else:
             at = p.tobytes()
-            if any(known != at for known, *_ in self._tangents):
+            if any(known[0] != at for known in self._tangents):
                 self._tangents.clear()
-            key = at, runs and tuple(runs), merged
+            key = at, tuple(runs) if runs else None, merged
             if key not in self._tangents:
                 self._tangents[key] = self._read((), runs, p, merged=merged)
             found = self._tangents[key]
