@@ -270,6 +270,10 @@ def hypotheses(
 # -- how it is tried ---------------------------------------------------------------------------------------
 
 
+_Key = tuple[bytes, tuple[int, ...] | None, bool]
+"""Parameters, runs, and whether these are read as one: of a tangent that is kept."""
+
+
 @dataclass(eq=False)
 class Trials:
     """A log in which corrections are tried: columns of whole runs as they were logged, and samples picked."""
@@ -278,7 +282,7 @@ class Trials:
     model: Model
     noise: Noise
     _last: dict[object, Log] = field(default_factory=dict, init=False)
-    _tangents: dict[tuple[bytes, tuple[int, ...] | None, bool], Read] = field(default_factory=dict, init=False)
+    _tangents: dict[_Key, Read] = field(default_factory=dict, init=False)
     _noise: dict[str, dict[int, float]] = field(default_factory=dict, init=False)
 
     def over(self, floor: float) -> Trials:
