@@ -57,7 +57,7 @@ def claims_of(fit: Fit, given: Log) -> tuple[Claim, ...]:
 
     Nothing is looked for where the model describes every run, and samples that it left out are anywhere.
     """
-    if coarse := tuple(coarse_readings(given, fit.model)):
+    if coarse := tuple(coarse_columns(given, fit)):
         return coarse
     fine = described(fit)
     ends = fine and _without_ends(fit)
@@ -107,13 +107,21 @@ FEW_CODES = 40
 """Values that a reading takes at most where its rounding is no noise: it repeats with the motion."""
 
 
-def coarse_readings(given: Log, model: Model) -> Iterator[Claim]:
-    """Yield the readings that take few values; what rounding does to them goes with the pose."""
-    some = islice(given.blocks(model.channels, LOOKED), RUNS_LOOKED)
-    for c, x in joined([block.data for block in some], model.channels).items():
+def coarse_columns(given: Log, fit: Fit) -> Iterator[Claim]:
+    """Yield the columns that take few values; what rounding does to them goes with the pose.
+
+    A reference that is set takes few values too: it is coarse where its rounding is what was estimated as
+    its noise, and the residual is no smaller.
+    """
+    model, noise = fit.model, fit.noise
+    follows = fit.goodness is not None and EXCESS * fit.goodness.cost_per_degree_of_freedom < 1
+    rounded = [] if follows else [c for c in model.references if noise[c].source != "given"]
+    columns = tuple(dict.fromkeys((*model.channels, *rounded)))
+    some = islice(given.blocks(columns, LOOKED), RUNS_LOOKED)
+    for c, x in joined([block.data for block in some], columns).items():
         values = np.unique(x)
         step = _step_between(values) if len(values) <= min(FEW_CODES, len(x) / 4) else None
-        if step is not None:
+        if step is not None and (c in model.channels or EXCESS * 12 * noise[c].value ** 2 > step**2):
             yield Claim(
                 "coarse_steps", f"{c} takes {len(values)} values only, in steps of {step:.4g}: what "
                 "rounding does to it goes with the pose, and no fit tells it; use a finer converter.",
@@ -172,17 +180,16 @@ ORDERED = 3
 
 
 def claim(found: Found) -> Claim:
-    """Return a mistake as a claim."""
+    """Return a mistake as a claim; without a correction where the log does not single one out."""
     c, rivals = found.correction, tuple(other.text for other in found.rivals)
     share = f"explains {100 * found.explains:.0f} % of what the model leaves"
     also = f"; {_listed(rivals)} would do as well" if rivals else ""
-    remedy, known = f"undo it with --correct '{c.text}'", found.vague <= KNOWN
-    if not known:
-        remedy += (
-            f" and the factor that the recorder states: the log tells it to {100 * found.vague:.2g} % only"
-        )
+    remedy = f"undo it with --correct '{c.text}'"
+    if not found.single:
+        remedy = "each gives another calibration, so state the one that the recorder tells with --correct"
+        rivals = (c.text, *rivals)
     text = f"{said(c)[0].upper()}{said(c)[1:]}: that {share}{also}; {remedy}."
-    return Claim(c.kind, text, c.columns, c.runs, c.text if known else None, found.explains, rivals)
+    return Claim(c.kind, text, c.columns, c.runs, c.text if found.single else None, found.explains, rivals)
 
 
 def _listed(texts: Sequence[str]) -> str:
@@ -284,11 +291,6 @@ class Trials:
     _last: dict[object, Log] = field(default_factory=dict, init=False)
     _tangents: dict[_Key, Read] = field(default_factory=dict, init=False)
     _noise: dict[str, dict[int, float]] = field(default_factory=dict, init=False)
-
-    def over(self, floor: float) -> Trials:
-        """Return the same with `floor` times the variance: an estimate misses what colour a noise has."""
-        sigmas = {n: replace(s, value=s.value * floor**0.5) for n, s in self.noise.items()}
-        return replace(self, noise=Noise(sigmas))
 
     @property
     def stated(self) -> bool:
@@ -524,8 +526,8 @@ class Trials:
         if not closely:
             within = read.summary.counts[None] @ read.within / merged.summary.counts[0]
             return Tried(corrections, merged, first, self.model, within, read.log)
-        fixed = list(determine(merged, first).fixed)
-        first[fixed] = np.clip(self.model.nominal, *self.model.bounds)[fixed]
+        found = determine(merged, first)
+        first, fixed = found.begin(self.model, first), found.not_free
         p = refit(merged, first, fixed, CLOSELY, STEPS_TRIED) if len(fixed) < len(first) else first
         cost = cost_of(read.summary, read.noise.std)
         return Tried(corrections, cost, p, self.model, read.within, read.log)
@@ -744,8 +746,6 @@ SETTLED = 1e-3
 """Part of a size by which a round may still change it."""
 RIVAL = 20.0
 """Difference of the deviance, of all readings, up to which two corrections explain as much."""
-SURE = 2.0
-"""Standard deviations by which a number must be distinguished from another."""
 NEAR = 0.02
 """The same of each reading, over what is left: where effects are left too, chance is not all that decides."""
 KEEPS = 0.6
@@ -769,13 +769,13 @@ def key(c: Correction) -> Key:
 class Found:
     """A correction, what it explains of the excess, and those that explain as much.
 
-    `vague`: part of its number by which that may be off, of a factor that was searched.
+    `single`: whether none of those that assume no more gives another calibration.
     """
 
     correction: Correction
     explains: float
     rivals: tuple[Correction, ...] = ()
-    vague: float = 0.0
+    single: bool = True
 
 
 def suspects(trials: Trials) -> list[Found]:
@@ -789,18 +789,15 @@ def suspects(trials: Trials) -> list[Found]:
     whole = [best] if best and after and _explains(base, after) else []
     if after and whole and (after.mean(after.left) < EXCESS or whole[0].explains > NEARLY_ALL):
         return whole
-    found, floor = _of_some_runs(trials, base)
+    found = _of_some_runs(trials, base)
     if after and whole:  # which leaves more than noise: mistakes of some runs may leave less
         other = trials.fitted([one.correction for one in found]) if found else None
         better = other and other.left and other.mean(other.deviance) < after.mean(after.deviance)
         return found if better else whole
-    if not found and not trials.stated and floor > EXCESS:
-        louder = trials.over(floor)
-        found = _of_some_runs(louder, again)[0] if (again := louder.fitted()) and again.left else []
     return found
 
 
-def _of_some_runs(trials: Trials, base: Tried) -> tuple[list[Found], float]:
+def _of_some_runs(trials: Trials, base: Tried) -> list[Found]:
     """Return the mistakes of runs that others do not foresee, and what the model leaves of those others.
 
     Of several ways to divide the runs the one with the fewest mistakes, then the likeliest; none where a fit
@@ -811,11 +808,15 @@ def _of_some_runs(trials: Trials, base: Tried) -> tuple[list[Found], float]:
     least = float(np.clip(floor, 1.0, 1.0 if trials.stated else EXCESS))  # what an estimated noise may lack
     explained: list[tuple[int, float, list[Found]]] = []
     for odd, agreed in divided.items():
-        some = _in_runs(trials, agreed, odd)
+        some = [
+            one
+            for one in _in_runs(trials, agreed, odd)
+            if base.mean(base.left, one.correction.runs) >= EXCESS
+        ]  # else one calibration describes all
         after = trials.fitted([one.correction for one in some]) if some else None
         if after is not None and after.left and _explains(base, after, least):
             explained.append((len(some), after.mean(after.deviance), some))
-    return min(explained, key=lambda one: one[:2], default=(0, 0.0, []))[2], floor
+    return min(explained, key=lambda one: one[:2], default=(0, 0.0, []))[2]
 
 
 def _explains(base: Tried, after: Tried, floor: float = 1.0) -> bool:
@@ -979,41 +980,46 @@ def _best(
         judged = {one.correction for one in seen}
         for c in (c for c in shares if _same(c, best.correction) and c not in judged):
             judge(c)
-    good = [*filter(_good, seen)]
-    best = min(good, key=lambda one: one.after)
-    samples, close = sum(base.counts[r] for r in runs), _close(base, runs, best.left)
+    best = min(filter(_good, seen), key=lambda one: one.after)
+    close = _close(base, runs, best.left)
 
-    def assumes(one: Judged) -> tuple[bool, tuple[int, int]]:  # a factor that was searched assumes most
-        return one.correction.kind == "scale" and one.correction not in shares, one.plain
+    def searched(one: Judged) -> bool:  # a factor that was searched assumes most
+        return one.correction.kind == "scale" and one.correction not in shares
 
-    near = sorted((one for one in good if one.after - best.after < close), key=assumes)
-    equal = [
-        one for one in near
-        if _same(one.correction, near[0].correction) and assumes(one) == assumes(near[0])
-    ]  # fmt: skip
+    near = min((one for one in seen if _good(one) and one.after - best.after < close),
+               key=lambda one: (searched(one), one.plain))  # fmt: skip
+    if searched(near):
+        for by in (-KNOWN, KNOWN):
+            judge(replace(near.correction, numbers=(near.correction.numbers[0] * (1 + by),)))
+    equal = [one for one in seen if _good(one) and one.after - best.after < close]
     # of units, whose readings differ by less than parameters can make up for, the most usual of those that
     # leave the machine as near to the nominal one, within a width of one bound
     nearest = min(one.far for one in equal) ** 2 + 1.0
 
-    def usual(one: Judged) -> tuple[bool, int]:
+    def assumes(one: Judged) -> tuple[bool, tuple[int, int], bool, int]:
         unit = one.correction.unit
-        return (one.far**2 >= nearest, [*UNITS].index(unit)) if unit else (False, 0)
+        usual = (one.far**2 >= nearest, [*UNITS].index(unit)) if unit else (False, 0)
+        return searched(one), one.plain, *usual
 
-    first = min(equal, key=lambda one: (usual(one), one.after))
+    first = min(equal, key=lambda one: (assumes(one), one.after))
+    at = tried(first.correction)
 
-    def rivals_it(one: Judged) -> bool:  # a number beside its own is none
-        c, named = one.correction, first.correction
-        if not _same(c, named) or c.unit or c.kind != "scale":
-            return not _same(c, named) or c.unit != named.unit
-        return c in shares and bool(abs(np.log(abs(c.numbers[0] / named.numbers[0]))) > np.log(ALTERED))
+    def differs(one: Judged) -> bool:
+        """Return whether the calibration of the first does not describe the log without the other mistake."""
+        own = tried(one.correction)
+        if not at or not own or np.array_equal(own.p, at.p):
+            return False
+        found = trials.at((one.correction,), at.p, runs)
+        return not found or not found.left or found.mean(found.deviance) - own.mean(own.deviance) > close
 
-    rivals = tuple(one.correction for one in near if rivals_it(one))
-    c, vague = first.correction, 0.0
-    if assumes(first)[0]:
-        beside = [replace(c, numbers=(c.numbers[0] * (1 + by),)) for by in (-KNOWN, KNOWN)]
-        loses = samples * len(trials.model.channels) * (min(map(deviance, beside)) - first.after)
-        vague = KNOWN * SURE / max(loses, 1e-3) ** 0.5
-    return Found(c, min(first.explains, 1.0), rivals, vague)
+    others = [one for one in equal if one is not first and (searched(first) or not searched(one))]
+    other = {one.correction for one in others if differs(one)}
+    rivals = tuple(
+        one.correction for one in others
+        if one.correction in other or not _same(one.correction, first.correction)
+    )  # fmt: skip
+    single = not any(one.correction in other and assumes(one) == assumes(first) for one in others)
+    return Found(first.correction, min(first.explains, 1.0), rivals, single)
 
 
 def _close(base: Tried, runs: Sequence[int], left: float) -> float:
@@ -1170,8 +1176,8 @@ def _in_runs(trials: Trials, base: Tried, odd: Sequence[int]) -> list[Found]:
             elif (lost := lost + over.get(r, 0.0)) > may_stay:
                 break
         out = _fewest(trials, out)
-    if sum(over.get(r, 0.0) for r in left) > may_stay and not _one_way(trials, odd):
-        out = _other_device(trials, now, odd) or out  # it may be another device in all
+    if sum(over.get(r, 0.0) for r in left) > may_stay:
+        out = _other_device(trials, now, odd, max(base.mean(base.left), 1.0)) or out
     return out
 
 
@@ -1209,42 +1215,26 @@ def _one_gain(trials: Trials, c: Correction, runs: list[int]) -> Correction | No
     return known
 
 
-SWEPT = 0.8
-"""Share of its range by which a run that is one sweep ends away from its beginning: the rest is noise."""
-
-
-def _one_way(trials: Trials, odd: Sequence[int]) -> bool:
-    """Return whether these runs sweep one way along a reference and all others sweep it back.
-
-    Then play or hysteresis would make them differ too, and the log does not tell it from another device.
-    """
-    for reference in trials.model.references:
-        ways: tuple[set[float], set[float]] = set(), set()
-        for run, at in trials.spans:
-            x = trials.full[reference][at]
-            swept = abs(x[-1] - x[0]) > SWEPT * np.ptp(x)
-            ways[run in odd].add(float(np.sign(x[-1] - x[0])) if swept else 0.0)
-        if ways in (({1.0}, {-1.0}), ({-1.0}, {1.0})):
-            return True
-    return False
-
-
 def _of(c: Correction, runs: Sequence[int]) -> Correction:
     """Return a correction of some runs; one that is of some already stays."""
     return c if c.runs else c.in_runs(runs)
 
 
-def _other_device(trials: Trials, now: Tried, runs: Sequence[int]) -> list[Found]:
-    """Return runs that parameters, and gains of readings, of their own describe, where no mistake does."""
+def _other_device(trials: Trials, now: Tried, runs: Sequence[int], floor: float) -> list[Found]:
+    """Return runs that parameters, and gains of readings, of their own describe, where no mistake does.
+
+    As well as the other runs are described, to `floor`: so many parameters leave nothing but noise.
+    """
     gains: tuple[Correction, ...] = ()
     found: list[Found] = []
+    readings = sum(now.counts[r] for r in runs) * len(trials.model.channels)
     for _ in range(ROUNDS):
         own = trials.fitted(gains, runs)
         if own is None or not own.left:
             break
         after = own.mean(own.deviance), own.mean(own.left)
         one = Judged(now.mean(now.deviance), *after, Correction("other_device"))
-        if one.explains >= EXPLAINS and one.left < EXCESS:
+        if one.left - floor < CHANCE * (2 / readings) ** 0.5:
             found = [Found(one.correction.in_runs(runs), one.explains)]
             break
         gains = _gains(trials, own, gains, runs)

@@ -13,7 +13,7 @@ from hallsym.estimation.covariance import Uncertainty, uncertainty
 from hallsym.estimation.identifiable import Determination, determine
 from hallsym.estimation.likelihood import Cost
 from hallsym.estimation.optimum import refit
-from hallsym.inference.profiles import Profile, normal_enough, profile, skewness, tangent
+from hallsym.inference.profiles import normal_enough, profile, skewness, tangent
 from hallsym.model import Model
 from hallsym.model.model import Quantity, combination, linear, parameter
 
@@ -50,36 +50,10 @@ def rise_at(cost: Cost, p: np.ndarray, held, name: str, value: float) -> float:
     return cost.at(at).value - cost.at(p).value
 
 
-def by_name(p: Profile) -> str:
-    return f"{p.lower} {p.upper}"
-
-
 # -- quantities ------------------------------------------------------------------------------------------
 
 
-def test_quantities_have_exact_derivatives():
-    """Central differences of a lever arm: error of order step^2."""
-    arm, p, h = combination(MODEL, MODEL.combinations[0]), MODEL.nominal + 0.01, 1e-5
-    value, gradient, hessian = arm.at(p)
-    steps = h * np.eye(len(p))
-    assert value == pytest.approx(np.asarray(MODEL.combined(p)).ravel()[0], rel=1e-15)
-    slopes = [(arm.first(p + s)[0] - arm.first(p - s)[0]) / (2 * h) for s in steps]
-    bends = [(arm.first(p + s)[1] - arm.first(p - s)[1]) / (2 * h) for s in steps]
-    assert np.allclose(gradient, slopes, rtol=0, atol=1e-9)
-    assert np.allclose(hessian, bends, rtol=0, atol=1e-9)
-    assert not arm.linear
-
-
 # -- profiles --------------------------------------------------------------------------------------------
-
-
-def test_ends_rise_by_the_threshold():
-    cost, p, found, _ = paper()
-    for name in ("eta_A", "theta_B", "a_C", "b_A", "c_B"):
-        got = profile(cost, p, parameter(MODEL, name), found=found)
-        assert (got.lower.status, got.upper.status) == ("reached", "reached"), by_name(got)
-        for end in got.interval:
-            assert rise_at(cost, p, found.fixed, name, end) == pytest.approx(THRESHOLD, rel=1e-4)
 
 
 def test_lopsided_ends_rise_by_the_threshold():
