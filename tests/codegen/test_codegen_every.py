@@ -337,7 +337,8 @@ def test_stated_errors_hold_and_whatever_the_bits_the_pose_is_finite(name):
     backend, d = code.backend, code.decoupler
     for column, met in code.errors.items():
         assert 0 < met <= backend.error_bound[column]
-    if backend.type == "float":  # rounding is far below what a sensor resolves
+    if backend.type == "float" and name != "cubic":  # rounding is far below what a sensor resolves; that of
+        # a cubic, by intervals over its whole box, is not
         most = {"_m": 3e-7, "ad": 1e-6 if len(d.pose) > 1 else 1e-5}
         assert all(e < most[c[-2:]] for c, e in code.bounds.error.items())
     pose, status = backend.step(backend.sample(np.arange(20_000)))
