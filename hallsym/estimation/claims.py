@@ -728,9 +728,6 @@ def _screen(trials: Trials, base: Tried) -> Callable[[Correction], float]:
 EXPLAINS = 0.9
 """Share of the excess that a correction must explain to be named: one that leaves a tenth of it is near the
 right one, not it."""
-NEARLY_ALL = 0.99
-"""The same of a mistake of the whole log, beyond which mistakes of some runs are not compared with it: they
-would have to explain as much, and what is left may be an effect that the model has not."""
 CUT_OFF = 4.0
 """Mean square that steps leave over step^2/12, at most: of numbers cut off, not rounded, step^2/3."""
 EXCESS = 1.5
@@ -787,7 +784,7 @@ def suspects(trials: Trials) -> list[Found]:
     best = _best(trials, base, lambda c: trials.fitted((c,)), _screen(trials, base), runs)
     after = trials.fitted((best.correction,)) if best else None
     whole = [best] if best and after and _explains(base, after) else []
-    if after and whole and (after.mean(after.left) < EXCESS or whole[0].explains > NEARLY_ALL):
+    if after and whole and after.mean(after.left) < EXCESS:
         return whole
     found = _of_some_runs(trials, base)
     if after and whole:  # which leaves more than noise: mistakes of some runs may leave less
@@ -806,8 +803,11 @@ def _of_some_runs(trials: Trials, base: Tried) -> list[Found]:
     divided = _divisions(trials, base)
     floor = min((agreed.mean(agreed.left) for agreed in divided.values()), default=1.0)
     least = float(np.clip(floor, 1.0, 1.0 if trials.stated else EXCESS))  # what an estimated noise may lack
+    may_stay = (1 - EXPLAINS) * _excess(base, least)
     explained: list[tuple[int, float, list[Found]]] = []
     for odd, agreed in divided.items():
+        if _excess(agreed, least) > may_stay:  # no mistake of other runs lowers it
+            continue
         some = [
             one
             for one in _in_runs(trials, agreed, odd)
@@ -817,6 +817,11 @@ def _of_some_runs(trials: Trials, base: Tried) -> list[Found]:
         if after is not None and after.left and _explains(base, after, least):
             explained.append((len(some), after.mean(after.deviance), some))
     return min(explained, key=lambda one: one[:2], default=(0, 0.0, []))[2]
+
+
+def _excess(tried: Tried, floor: float) -> float:
+    """Return the squares that are left over a floor, over the noise."""
+    return sum(tried.counts[r] * (left - floor) for r, left in tried.left.items())
 
 
 def _explains(base: Tried, after: Tried, floor: float = 1.0) -> bool:
@@ -868,12 +873,15 @@ def _agreeing(trials: Trials, base: Tried) -> list[list[int]]:
     Least trimmed squares from all runs but the worst, and from the first and the last half: the half that is
     described best is fitted again, and all that it foresees with it, until they stay.
     """
-    runs, out = list(base.left), list[list[int]]()
+    runs, out, known = list(base.left), list[list[int]](), set[tuple[int, ...]]()
     half = (len(runs) + 1) // 2
     others = sorted(runs, key=base.left.__getitem__)[:-1]
     for begin in (sorted(others), runs[:half], runs[-half:]) if len(runs) >= FEWEST else ():
         some, agreed = begin, list[int]()
         for _ in range(ROUNDS):
+            if tuple(some) in known:  # they stay, or come round again
+                break
+            known.add(tuple(some))
             again = trials.fitted((), some)
             seen = again and trials.at((), again.p, runs)
             if not seen or not seen.left:
@@ -882,9 +890,7 @@ def _agreeing(trials: Trials, base: Tried) -> list[list[int]]:
             usual = max(float(np.median([seen.left[r] for r in best])), 1.0)
             agreed = [r for r in runs if seen.left[r] < EXCESS * usual]
             described = len(agreed) >= half and seen.mean(seen.left, agreed) < EXCESS
-            before, some = some, agreed if described else sorted(best)
-            if some == before:
-                break
+            some = agreed if described else sorted(best)
         if len(runs) > len(agreed) >= half and agreed not in out:
             out.append(agreed)
     return out
@@ -957,12 +963,13 @@ def _best(
         left = found.mean(found.left, runs)
         if c.mistake.keeps and left > CUT_OFF:  # a noise that is larger is not all that is wrong
             return
+        if not np.isfinite(base.rest(found)) or not _follows(base, found):
+            return
         inside = _inside(trials, found, c, runs) if c.kind == "clipped" else 0.0
         same = without_ends(replace(c, columns=())) if c.kind in STEPS else before
         beyond = inside + trials.quieter(c, runs)
         one = Judged(same, found.mean(found.deviance, runs) + beyond, left + inside, c, found.far)
-        known = np.isfinite(base.rest(found)) and np.isfinite(one.gain)
-        if known and _follows(base, found):
+        if np.isfinite(one.gain):
             seen.append(one)
 
     plain = hypotheses(trials.model, trials.columns, base.worst(runs), trials.moved(runs))

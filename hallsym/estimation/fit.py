@@ -129,9 +129,12 @@ def fit(
     if not logs:
         raise InputError("There is no log to fit; give one at least.")
     judged = [as_log(one) for one in holdout_logs]
-    models = [model_of(one, model, effects, parameters, own) for one in (*logs, *judged)]
+    undone = tuple(map(read_correction, corrections))
+    models = [  # a machine without a stated gap or travel takes those of the log without its mistakes
+        model_of(corrected(one, undone), model, effects, parameters, own) for one in (*logs, *judged)
+    ]
     asked = Asked(
-        solver, holdout, loss, tuple(map(read_correction, corrections)), drop_bad, seed, start,
+        solver, holdout, loss, undone, drop_bad, seed, start,
         quick and alone, tuple(accept), say,
     )  # fmt: skip
     if alone:

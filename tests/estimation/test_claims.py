@@ -403,3 +403,13 @@ def test_readings_of_a_tangent_are_put_right_without_another_pass(inverted):
         found = cost_of(again.summary, again.noise.std).at(p)
         assert quick.cost.at(p).value == pytest.approx(found.value, rel=1e-9)
         assert np.allclose(quick.within, again.within, rtol=1e-9)
+
+
+def test_where_agreeing_runs_leave_a_tenth_of_the_excess_no_mistake_of_the_others_is_tried(six, monkeypatch):
+    """Whatever is undone in those others, the excess of these stays."""
+    log = log_of(six | {"x_ref_m": six["x_ref_m"] + 1e-3 * np.cos(50 * six["t_s"])})
+    trials = claims.Trials(log, build("stage31"), noise_of(log, build("stage31")))
+    base = trials.fitted()
+    monkeypatch.setattr(claims, "_divisions", lambda *_: {(0,): base})
+    monkeypatch.setattr(claims, "_in_runs", lambda *_: pytest.fail("a search that cannot succeed"))
+    assert claims._of_some_runs(trials, base) == []

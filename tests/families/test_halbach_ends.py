@@ -114,6 +114,18 @@ def test_offsets_beside_the_ends_of_a_stated_array_are_within_their_uncertaintie
     passes(written(code, tmp_path / "fw"))
 
 
+@pytest.mark.slow
+def test_a_model_that_knows_its_ends_is_made_from_the_log_without_its_mistakes():
+    """The travel over which it knows them is that of the corrected log, whatever was logged."""
+    pytest.importorskip("magpylib")
+    log, _ = finite_machine(True)
+    data = {c: log.array(c) * (1000 if c == "z_ref_m" else 1) for c in log.columns}
+    log = Log.from_arrays(data, log.noise, log.meta)
+    options = {"effects": ["gain_mismatch", "offset_error"], "solver": "direct", "loss": "none"}
+    result = hallsym.fit(log, "halbach", **options, corrections=["scale z_ref_m mm"], accept=["all"])
+    assert not any("beyond the travel" in note for note in result.notes)
+
+
 def test_ends_are_nothing_in_the_middle_of_a_long_array():
     wide = ends.array_edges(halbach(columns((-0.01, 0.0, 0.01), length_m=1.2)))
     x, z = np.linspace(-0.02, 0.02, 9), np.full(9, 5e-3)

@@ -38,7 +38,7 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
         along = model.references[: 2 if planar else 1]
         odd += _travel(along, pose, next(iter(known.values())).wavelength_m, log.name)
     if any(array.ends for array in known.values()):
-        odd += _of_ends(known, pose, log.name)
+        odd += _of_ends(model, known, pose, log.name)
     elif not beyond and "array_edges" not in model.effects:
         odd += _left_out(model, known, pose, planar)
     return Inspection(tuple(odd))
@@ -83,19 +83,19 @@ def _covered(model: Model, known: dict[str, Array], pose: np.ndarray, name: str)
         )
 
 
-def _of_ends(known: dict[str, Array], pose: np.ndarray, name: str) -> Iterator[str]:
+def _of_ends(model: Model, known: dict[str, Array], pose: np.ndarray, name: str) -> Iterator[str]:
     """Claim places where a model does not know the ends of its array; note ends that the log hardly tells."""
     for array in known.values():
         # of six coordinates the travel is that of the sensors in the mover
         seen = pose if len(pose) == 2 else pose[:3] * [[-1], [-1], [1]]
         box, room = array.box(len(seen) - 1), MARGIN * array.wavelength_m
-        over = np.maximum(box[:, :1] - seen, seen - box[:, 1:]).max()
-        if over > room:
+        over = np.maximum(box[:, :1] - seen, seen - box[:, 1:]).max(axis=1)
+        if over.max() > room:
             text = (
-                f"The mover of {name} goes {1e3 * over:.3g} mm beyond the travel over which the model knows "
-                f"what the ends of array {array.name} take; fit this log by itself."
+                f"The mover of {name} goes {1e3 * over.max():.3g} mm beyond the travel over which the model "
+                f"knows what the ends of array {array.name} take; fit this log by itself."
             )
-            yield Fault(text, "beyond")
+            yield Fault(text, "beyond", tuple(model.references[k] for k in np.flatnonzero(over > room)))
         if array.rival:
             yield (
                 f"Which magnet is in the middle of array {array.name}, {array.middle_magnet} or "
