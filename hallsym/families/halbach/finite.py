@@ -17,7 +17,7 @@ import numpy as np
 from hallsym.families.halbach.layout import Array, Layout, Sensor, arrays, opposite, sensors
 
 HARMONICS = (1, 5, 9)
-"""Of the endless array, which its magnets less its ends make; the next is below 1e-4 of the first at 3 mm."""
+"""Of the endless array, which its magnets less its ends make; the next is 5e-5 of the first at 3 mm."""
 
 
 def magnets_of(array: Array) -> tuple[np.ndarray, np.ndarray]:
@@ -204,26 +204,34 @@ class Polynomial:
         return total
 
 
+NO_FIELD = Polynomial(np.zeros((0, 3), dtype=int), np.zeros(3), np.zeros(0))
+"""Of three coordinates, no terms."""
+
+
 @dataclass(frozen=True, eq=False)
 class Taken:
-    """What ends take at a channel, away from the face of the array and along its period."""
+    """What ends take at a channel, away from the face of the array and along its period.
+
+    `across`: across it, what crossing arrays add; none of a single array.
+    """
 
     up: Polynomial
     along: Polynomial
+    across: Polynomial = NO_FIELD
 
     def at(self, place: np.ndarray) -> "Taken":
         """Return the same of places from another origin, `place` of the old one."""
-        return Taken(*(replace(p, middle=p.middle + place) for p in (self.up, self.along)))
+        return Taken(*(replace(p, middle=p.middle + place) for p in (self.up, self.along, self.across)))
 
 
 Field = Callable[[np.ndarray], np.ndarray]
-"""Places (n, m) -> what ends take there, away from the face and along the period (2, m)."""
+"""Places (n, m) -> what ends take there: away from the face, along the period, maybe across (2 or 3, m)."""
 SPREAD = 1.2207440846057596 ** -np.arange(1.0, 4.0)
 """Steps, in units of the box, of places that fill it evenly: powers of the root of x^4 = x + 1."""
 OVER = 3
 """Places a term of a polynomial is fitted to."""
 TILTED = 0.03
-"""Largest tilt [rad] at which sensors see the field along the period, and that polynomial leaves as much."""
+"""Largest tilt [rad] at which sensors see the field in the plane, of which polynomials leave as much."""
 
 
 def least_degree(
@@ -241,7 +249,7 @@ def least_degree(
     t = np.cos(pi * (np.arange(1, OVER * len(powers) + 1) * SPREAD[:n, None] % 1))
     seen = np.array([f(middle[:, None] + half[:, None] * t) for f in of]).swapaxes(0, 1)
     found = []
-    for component, share in zip(seen, (1.0, TILTED), strict=True):
+    for component, share in zip(seen, (1.0, TILTED, TILTED), strict=False):
         tried = []
         for degree in range(1, most + 1):
             own = powers[powers.sum(axis=1) <= degree]
@@ -351,19 +359,16 @@ def _all(layout: Layout, own: Array, sensor: Sensor, turn: int) -> Field:
         point = np.empty((2, at.shape[1]))
         point[[own.axis, 1 - own.axis]] = at[:2] + middle[:, None]
         point += np.array(own.centre)[:, None]
-        total = np.zeros((2, at.shape[1]))
+        total = np.zeros((3, at.shape[1]))
         for other in arrays(layout).values():
-            for dx, dy in around if other == own else np.zeros((1, 2)):
+            for dx, dy in around:
                 x, y = point + np.array([[dx], [dy]]) - np.array(other.centre)[:, None]
                 u, across = (x, y) if other.axis == 0 else (y, x)
                 step = other.middle_magnet * other.wavelength_m / other.magnets_per_period / 2
                 seen = np.array(cuboids(other, u - step, across, at[2]))
                 if other == own:
-                    total += (seen - harmonics(other, u - step, at[2])) / len(around)
-                else:
-                    total[0] += seen[0]
-                    if other.axis == own.axis:
-                        total[1] += seen[1]
-        return total
+                    seen -= harmonics(other, u - step, at[2])
+                total[[0, 1 if other.axis == own.axis else 2]] += seen
+        return total / len(around)
 
     return taken

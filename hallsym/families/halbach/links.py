@@ -80,8 +80,8 @@ def rotated(pair: tuple[ca.SX, ca.SX], angle: ca.SX) -> tuple[ca.SX, ca.SX]:
 class Seen:
     """What an element of a channel sees of an array: the place `u` along its period, its `height` below it.
 
-    `across`: its place from the centre line. `up`, `along`: components of the sensor's axis away from the
-    magnets' face and along the period.
+    `across`: its place from the centre line. `up`, `along`, `aside`: components of the sensor's axis away
+    from the magnets' face, along the period and across it.
     """
 
     array: Array
@@ -90,6 +90,7 @@ class Seen:
     up: ca.SX
     along: ca.SX
     across: ca.SX | float = 0.0
+    aside: ca.SX | float = 0.0
 
 
 def rotation(rx: ca.SX, ry: ca.SX, rz: ca.SX) -> ca.SX:

@@ -41,7 +41,7 @@ FAMILY = Family("halbach")
 POSE, REFERENCES = ("x_m", "z_m"), ("x_ref_m", "z_ref_m")
 WAVELENGTH_M = 0.03
 HARMONICS = (1, 5)
-"""Of four magnets per period: 1, 5, 9, ... The ninth is below 1e-4 of the first at a gap of 3 mm."""
+"""Of four magnets per period: 1, 5, 9, ... The ninth is 9e-4 of the first at a gap of 3 mm, 3e-5 at 5 mm."""
 FAR = 100.0
 """Largest amplitude [V]."""
 BETWEEN = "ends_between"
