@@ -820,8 +820,10 @@ def _of_some_runs(trials: Trials, base: Tried) -> list[Found]:
 
 
 def _excess(tried: Tried, floor: float) -> float:
-    """Return the squares that are left over a floor, over the noise."""
-    return sum(tried.counts[r] * (left - floor) for r, left in tried.left.items())
+    """Return the squares that are left over a floor, and over `CHANCE`, over the noise."""
+    samples = sum(tried.counts[r] for r in tried.left)
+    chance = CHANCE * (2 / max(samples * len(tried.model.channels), 1)) ** 0.5
+    return samples * (tried.mean(tried.left) - floor - chance)
 
 
 def _explains(base: Tried, after: Tried, floor: float = 1.0) -> bool:
