@@ -298,7 +298,7 @@ class Trials:
         return all(self.noise[c].source == "given" for c in self.model.channels)
 
     @cached_property
-    def alike(self) -> bool:
+    def runs_merge(self) -> bool:
         """Whether all runs are read as one, by a tangent: none has offsets of its own, or remembers."""
         return not (exact(self.model) or self.model.offsets or self.model.computed)
 
@@ -465,9 +465,9 @@ class Trials:
         for one in corrections:
             sources = one.mistake.sources(one)
             of_all = not one.runs or (runs is not None and {*runs} <= {*one.runs})
-            if not sources or not of_all or {*self.model.period} & {*sources}:
-                return self._read(corrections, runs, p, merged=merged)
-            if (changed := found.corrected(one, sources, runs)) is None:
+            by_itself = sources and of_all and not {*self.model.period} & {*sources}
+            changed = found.corrected(one, sources, runs) if by_itself else None
+            if changed is None:
                 return self._read(corrections, runs, p, merged=merged)
             found = changed
         return found if runs is None or p is not None else found.of(runs)
@@ -509,13 +509,13 @@ class Trials:
         self, corrections: tuple[Correction, ...], runs: Sequence[int] | None, closely: bool
     ) -> Tried | None:
         if not exact(self.model):
-            log = self.log(corrections, runs, merged=self.alike)
+            log = self.log(corrections, runs, merged=self.runs_merge)
             task = Task(log, self.model, (), Asked())
             guess = self.model.guess
             state = task.passes(
                 self.model.vector(guess(self.model, log)) if guess else self.model.nominal, None
             )
-            if self.alike:
+            if self.runs_merge:
                 return self.at(corrections, state.p, runs)
             within = _within(log, self.model)
             return Tried(corrections, state.fitted, state.p, self.model, within, log)
@@ -542,8 +542,8 @@ class Trials:
     ) -> Tried | None:
         """Judge some runs without mistakes at parameters (n,), as one where they are `merged`."""
         try:
-            if exact(self.model) or self.alike:
-                read = self.read(corrections, runs, p if self.alike else None, merged=merged)
+            if exact(self.model) or self.runs_merge:
+                read = self.read(corrections, runs, p if self.runs_merge else None, merged=merged)
                 cost = cost_of(read.summary, read.noise.std)
                 return Tried(tuple(corrections), cost, p, self.model, read.within, read.log)
             log = self.log(corrections, runs)
@@ -708,7 +708,7 @@ def _screen(trials: Trials, base: Tried) -> Callable[[Correction], float]:
     """
     if exact(trials.model):
         return lambda c: base.rest(trials.fitted((c,), closely=False))
-    runs, p, merged = list(base.left), base.p, trials.alike
+    runs, p, merged = list(base.left), base.p, trials.runs_merge
     before = trials.at((), p, runs, merged=True) if merged else base
 
     def screened(c: Correction) -> float:
@@ -1148,7 +1148,7 @@ def _in_runs(trials: Trials, base: Tried, odd: Sequence[int]) -> list[Found]:
         if now is None or not now.left:
             return None
         tried = cache(lambda c: trials.at((_of(c, runs),), p, runs))
-        one = trials.at((), p, runs, merged=True) if trials.alike else None
+        one = trials.at((), p, runs, merged=True) if trials.runs_merge else None
 
         def screened(c: Correction) -> float:
             return one.rest(trials.at((_of(c, runs),), p, runs, merged=True)) if one else now.rest(tried(c))

@@ -13,7 +13,7 @@ from hallsym.model.derived import rate
 
 MOST_OFF_M, MOST_TILT_RAD, MOST_TURN_RAD, MOST_DELAY_S = 3e-3, 0.3, 0.1, 0.05
 SHIFT = (
-    "no recording shows a shift in {a} of all sensors alike beside that of the field: the mean of d{a}_* "
+    "no recording shows a shift in {a} of all sensors beside that of the field: the mean of d{a}_* "
     "stays nominal; one with fixed = true in the machine file sets it instead"
 )
 """Said where a fit leaves the mean place or height of the sensors nominal."""
