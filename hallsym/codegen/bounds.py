@@ -5,10 +5,11 @@ from dataclasses import dataclass, replace
 from math import prod
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from hallsym.codegen.decoupler import Decoupler, Entry, Step, Whole, computed, of_step, short
-from hallsym.codegen.intervals import EXACT, TINY, Enclosure, constant, enclose
+from hallsym.codegen.intervals import EXACT, TINY, Enclosure, constant, enclose, enclosures
 from hallsym.codegen.operations import Graph, Operation, graph
 
 LEAST_GAIN = 0.1
@@ -45,6 +46,9 @@ def pose_bounds(d: Decoupler, digits: int = 24) -> Bounds:
     """Return the bounds of one table, by interval arithmetic on the printed expressions."""
     if d.bounded is None:
         found = _enclosed(d, d.steps, digits)[-len(d.pose) :]
+        if d.at_pose:  # an iteration takes each value again: over the whole box its error grows in each round
+            errors = _errors_by_cells(d, digits)
+            found = [replace(e, error=np.fmin(e.error, own)) for e, own in zip(found, errors, strict=True)]
     else:
         found = list(d.bounded(digits).values())
     return Bounds(
@@ -73,13 +77,83 @@ def _entry(value: float, digits: int) -> Enclosure:
 
 
 def _enclosed(d: Decoupler, steps: Sequence[Step], digits: int) -> list[Enclosure]:
+    given = _given(d, digits)
+    _enclose_steps(steps, given, digits)
+    return [given[step.name] for step in steps]
+
+
+def _given(d: Decoupler, digits: int) -> dict[str, Enclosure]:
+    """Return the enclosures of inputs, over the box, and of entries."""
     dtype = np.float32 if digits == 24 else np.float64
-    given = {d.symbols[c].name(): Enclosure(*(float(dtype(v)) for v in d.ends(c))) for c in d.inputs} | {
+    return {d.symbols[c].name(): Enclosure(*(float(dtype(v)) for v in d.ends(c))) for c in d.inputs} | {
         d.symbols[e.name].name(): _entry(e.value, digits) for e in (*d.table, *d.offsets)
     }
+
+
+def _enclose_steps(steps: Sequence[Step], given: dict[str, Enclosure], digits: int) -> None:
+    """Add the enclosure of each step to those of what it is made of."""
     for step in steps:
         (given[step.name],) = enclose([step.expression], given, digits)
-    return [given[step.name] for step in steps]
+
+
+CELLS = 512
+"""Most parts of the box over which the rounding of an iteration is bounded at a time."""
+ROUNDS = 5
+"""Times that the worst of them are cut in half along each side."""
+
+
+def _errors_by_cells(d: Decoupler, digits: int) -> np.ndarray:
+    """Return the rounding of the pose (pose,) over all cells that what an iteration starts from is cut into.
+
+    Proved: what operations round, each times the slope of the pose by it, enclosed over all values of a cell,
+    rounded ones too (mean value theorem); where an iteration may be at an end of its range, slopes are 0 to
+    1. Slopes have signs, so terms of an expanded polynomial cancel as they do in its value.
+    """
+    made, given = {step.name for step in d.steps}, _given(d, digits)
+    varies = made | {d.symbols[c].name() for c in d.inputs}
+    reads = [{s.name() for s in ca.symvar(step.expression)} & varies for step in d.steps]
+    crossing = []
+    for k in range(len(d.steps) - len(d.pose) + 1):  # what the steps from k on read of what is before them
+        later = {step.name for step in d.steps[k:]}
+        crossing.append(sorted(set().union(*reads[k:]) - later))
+    first = min(range(len(crossing)), key=lambda k: len(crossing[k]))
+    _enclose_steps(d.steps[:first], given, digits)
+    steps, names = d.steps[first:], crossing[first]
+    graphs = [graph([step.expression]) for step in steps]
+    before = {name: float(e.error) for name, e in given.items()}
+
+    def bounded(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        known, worked = dict(given), []
+        for name, least, greatest in zip(names, low, high, strict=True):
+            known[name] = Enclosure(least, greatest, before[name])
+        for step, own in zip(steps, graphs, strict=True):
+            values = enclosures(own, known, digits)
+            known[step.name] = values[own.results[0]]
+            worked.append([Enclosure(v.low - v.error, v.high + v.error) for v in values])
+        with np.errstate(all="ignore"):  # what grows without end is bounded by nothing
+            return np.array(_errors(steps, graphs, worked, before, digits, len(d.pose)))
+
+    ends = np.array([[given[name].low, given[name].high] for name in names], dtype=float)
+    low, high = _cut(ends[:, :1], ends[:, 1:], max(2, int(CELLS ** (1 / len(names)) + 1e-9)))
+    found = bounded(low, high)
+    usual = np.median(found, axis=1, keepdims=True)
+    for _ in range(ROUNDS):
+        order = np.argsort((found / usual).max(axis=0))
+        kept, worst = np.split(order, [-max(1, CELLS >> len(names))])
+        parts = _cut(low[:, worst], high[:, worst], 2)
+        low, high = (np.hstack([a[:, kept], b]) for a, b in zip((low, high), parts, strict=True))
+        found = np.hstack([found[:, kept], bounded(*parts)])
+    return np.asarray(found.max(axis=1))
+
+
+def _cut(low: np.ndarray, high: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ends of the cells (n, s) cut into so many parts along each side."""
+    sides = np.array(np.meshgrid(*[np.arange(count)] * len(low))).reshape(len(low), 1, -1)
+    grid = [
+        low[..., None] * (1 - share) + high[..., None] * share
+        for share in (sides / count, (sides + 1) / count)
+    ]
+    return grid[0].reshape(len(low), -1), grid[1].reshape(len(low), -1)
 
 
 # -- rounding of one pose after the other, where intervals over the box relate too little --------------------
@@ -116,15 +190,29 @@ class PoseByPose:
 
 Numbers = dict[str, Any]
 
+
+def _sign(x: Any) -> Any:
+    if isinstance(x, Enclosure):
+        return Enclosure(np.sign(x.low), np.sign(x.high))
+    return np.sign(x)
+
+
+def _taken(c: Any) -> Any:
+    """What a choice makes of its value: 1 or 0, of a range of conditions perhaps either."""
+    if isinstance(c, Enclosure):
+        return Enclosure(np.clip(c.low, 0.0, 1.0), np.clip(c.high, 0.0, 1.0))
+    return (c != 0) * 1.0
+
+
 _SLOPES: dict[str, Callable[..., tuple]] = {
     "assign": lambda z, x: (1.0,),
     "neg": lambda z, x: (-1.0,),
     "twice": lambda z, x: (2.0,),
-    "fabs": lambda z, x: (np.sign(x),),
+    "fabs": lambda z, x: (_sign(x),),
     "lt": lambda z, x, y: (0.0, 0.0),
     "le": lambda z, x, y: (0.0, 0.0),
     "not": lambda z, x: (0.0,),
-    "if_else_zero": lambda z, c, x: (0.0, (c != 0) * 1.0),
+    "if_else_zero": lambda z, c, x: (0.0, _taken(c)),
     "add": lambda z, x, y: (1.0, 1.0),
     "sub": lambda z, x, y: (1.0, -1.0),
     "mul": lambda z, x, y: (y, x),
@@ -153,39 +241,62 @@ def rounding(
         with np.errstate(all="ignore"):
             worked.append(computed(own, known))
             known[step.name] = of_step(step, own, worked[-1])
-    count = len(next(iter(inputs.values())))
+    stored = {name: float(constant(value, digits).error) for name, value in entries.items()}
+    values, errors = (
+        [np.broadcast_to(v, np.shape(next(iter(inputs.values())))) for v in found]
+        for found in (
+            [known[step.name] for step in steps[-last:]],
+            _errors(steps, graphs, worked, stored, digits, last),
+        )
+    )
+    return np.array(values), np.array(errors)
+
+
+def _errors(
+    steps: Sequence[Step],
+    graphs: Sequence[Graph],
+    worked: Sequence[list[Any]],
+    before: Mapping[str, float],
+    digits: int,
+    last: int,
+) -> list[Any]:
+    """Return the rounding errors of the last steps.
+
+    `worked`: the values of each graph's operations, numbers (s,) or enclosures of s cells; `before`: what
+    symbols are off by that no step makes.
+    """
     errors = []
     for step in steps[-last:]:
-        adjoint: Numbers = {step.name: np.ones(count)}
-        total = np.zeros(count)
+        adjoint: Numbers = {step.name: 1.0}
+        total: Any = 0.0
         for one, own, values in zip(reversed(steps), reversed(graphs), reversed(worked), strict=True):
             if one.name in adjoint and not isinstance(one, Whole):
                 total = total + _back(own, values, adjoint.pop(one.name), adjoint, digits)
-        for name, value in entries.items():
-            total = total + np.abs(adjoint.get(name, 0.0)) * constant(value, digits).error
+        for name, error in before.items():
+            total = total + abs(adjoint.get(name, 0.0)) * error
         errors.append(total)
-    return np.array([np.broadcast_to(known[s.name], count) for s in steps[-last:]]), np.array(errors)
+    return errors
 
 
-def _back(own: Graph, values: list[Any], by: np.ndarray, adjoint: Numbers, digits: int) -> np.ndarray:
+def _back(own: Graph, values: list[Any], by: Any, adjoint: Numbers, digits: int) -> Any:
     """Add the derivatives by the symbols of a step, whose own is `by`; returns what its operations round."""
     slopes: list[Any] = [0.0] * len(values)
     slopes[own.results[0]] = by
-    total = np.zeros_like(by)
+    total: Any = 0.0
     for k in reversed(range(len(values))):
         o, z, slope = own.operations[k], values[k], slopes[k]
         if o.op == "input":
             adjoint[o.symbol] = adjoint.get(o.symbol, 0.0) + slope
             continue
-        total = total + np.abs(slope) * _rounded(o, z, digits)
+        total = total + abs(slope) * _rounded(o, z, digits)
         if o.op != "const":
             for j, own_slope in zip(o.args, _SLOPES[o.op](z, *(values[a] for a in o.args)), strict=True):
                 slopes[j] = slopes[j] + slope * own_slope
-    return np.asarray(total)
+    return total
 
 
 def _rounded(operation: Operation, value: Any, digits: int) -> Any:
     """Bound of what an operation is off by where its arguments are exact; of a number, as it is stored."""
     if operation.op == "const":
-        return constant(value, digits).error
-    return 0.0 if operation.op in EXACT else 2.0**-digits * np.abs(value) + TINY[digits]
+        return constant(operation.value, digits).error
+    return 0.0 if operation.op in EXACT else 2.0**-digits * abs(value) + TINY[digits]

@@ -40,6 +40,38 @@ class Enclosure:
         """Largest magnitude that the computed value can have."""
         return np.maximum(np.abs(self.low), np.abs(self.high)) + self.error
 
+    # -- arithmetic of ranges alone
+
+    def __abs__(self) -> Numbers:
+        """Return the largest magnitude."""
+        return self.most
+
+    def __neg__(self) -> "Enclosure":
+        """Return the range of -x."""
+        return Enclosure(-self.high, -self.low)
+
+    def __add__(self, other: "Enclosure | float") -> "Enclosure":
+        """Return the range of a sum."""
+        return _enclosed("add", [self, _ranged(other)], None)
+
+    def __mul__(self, other: "Enclosure | float") -> "Enclosure":
+        """Return the range of a product."""
+        return _enclosed("mul", [self, _ranged(other)], None)
+
+    def __truediv__(self, other: "Enclosure") -> "Enclosure":
+        """Return the range of a quotient."""
+        return _enclosed("div", [self, other], None)
+
+    def __rtruediv__(self, other: float) -> "Enclosure":
+        """Return the range of a number over this one."""
+        return _enclosed("div", [_ranged(other), self], None)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+
+def _ranged(value: "Enclosure | float") -> Enclosure:
+    return value if isinstance(value, Enclosure) else Enclosure(value, value)
+
 
 def constant(value: float, digits: int) -> Enclosure:
     """Return the enclosure of a number as it is stored in `digits` bits of significand."""
