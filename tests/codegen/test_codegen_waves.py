@@ -126,3 +126,10 @@ def test_its_cost_is_counted_without_a_compiler_about_its_typical_gap():
     model = halbach.models.halbach()
     cost = cost_of(model, model.vector({"a1": 0.62, "a5": -6e-4}))  # at a gap of 0 it would not converge
     assert 100 < cost.instructions < 160
+
+
+def test_the_check_of_many_sums_near_the_array_takes_no_powers_of_its_own():
+    """Over near gaps three rounds take off the fifth harmonic: one power more, and no table is bounded."""
+    d = hallsym.generate(calibrated(sums(7), gaps=(0.0035, 0.009))).decoupler
+    assert d.mends
+    assert [s.name for s in d.steps if s.name.startswith("real_5")] == ["real_5_1", "real_5_2", "real_5_3"]

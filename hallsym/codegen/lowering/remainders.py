@@ -46,6 +46,8 @@ class Seen:
     read: np.ndarray
     u: np.ndarray
     tag: str = ""
+    rounds: int = 0
+    """Rounds that took off higher harmonics: powers of the last one stand for those of `at`, where given."""
 
 
 def contradictions(
@@ -82,6 +84,10 @@ class _Left:
         first = wave.phasor.factor[:, 0]
         self.rows = np.stack([first.real, -first.imag], axis=1)
         self.powers = Powers(made, *wave.at, f"_of{wave.tag}")
+        for n in wave.phasor.harmonics:
+            real, imaginary = (f"{part}_{n}_{wave.rounds}{wave.tag}" for part in ("real", "imaginary"))
+            if imaginary in made.symbols:
+                self.powers.known[n] = made.symbols[real], made.symbols[imaginary]
 
     def make(self) -> list[Watched]:
         """Add the steps: one of each reading, or one of all where they have one degree of freedom."""

@@ -145,7 +145,8 @@ class _Assembly:
         found, inputs = self.wave.phasor, self.model.channels
         read = self.drawn(np.random.default_rng(12), TRIALS)
         readings = {short(c): self.made.symbols[c] for c in inputs}
-        seen = Seen(tuple(range(len(inputs))), found, readings, vector, read, found.solved(read))
+        own, u = tuple(range(len(inputs))), found.solved(read)
+        seen = Seen(own, found, readings, vector, read, u, rounds=self.wave.rounds)
         return contradictions(self.made, [seen], self.weight**-0.5)
 
     def _pose(self, made: Collected, logarithm: ca.SX, phase: ca.SX) -> None:
