@@ -11,6 +11,7 @@ pose, and what is left of the others (internal and external reliability).
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import ceil, log
 from typing import Any
 
 import casadi as ca
@@ -65,6 +66,8 @@ GROWN = 50
 """Sizes of a fault that grows from one standard deviation to the range."""
 STUCK = 5000
 """Poses at which a reading sticks."""
+SURE = 0.999
+"""Share of dead readings that raise a bit within as many samples as are stated."""
 NUDGED = 1 << 24
 """First step of integers, whose residuals have exponents of their own."""
 SECANTS = 4
@@ -288,20 +291,33 @@ class _Judgement:
         """What a fault that grows moves each coordinate by before it raises a bit, with noise (pose,)."""
         return np.asarray(self._unseen.max(axis=1))
 
-    @cached_property
-    def missed(self) -> float:
-        """Share of readings that stick anywhere in their range, of poses drawn anywhere, that move the pose
-        by more than that and raise no bit."""
-        rng, missed = np.random.default_rng(14), []
+    def _stuck(self, values: Callable[[np.random.Generator, float, float], Any]) -> tuple[np.ndarray, ...]:
+        """Whether readings (n,) that stick at `values` of their range raise no bit at poses drawn anywhere,
+        (n, s), and whether that moves the pose by more than `unseen`."""
+        rng, silent, far = np.random.default_rng(14), [], []
         inputs = self.drawn(rng, STUCK)
         right = self._seen(inputs)[0]
         for k, c in enumerate(self.d.model.channels):
             stuck = inputs.copy()
-            stuck[k] = rng.uniform(*self.d.ends(c), STUCK)
+            stuck[k] = values(rng, *self.d.ends(c))
             pose, left, errors = self._seen(stuck)
-            far = (np.abs(self.d.difference(pose, right)) > self.unseen[:, None]).any(axis=0)
-            missed.append(np.mean(far & ((left * errors).sum(axis=0) <= self.limit)))
-        return float(np.mean(missed))
+            far.append((np.abs(self.d.difference(pose, right)) > self.unseen[:, None]).any(axis=0))
+            silent.append((left * errors).sum(axis=0) <= self.limit)
+        return np.array(silent), np.array(far)
+
+    @cached_property
+    def missed(self) -> float:
+        """Share of readings that stick anywhere in their range, of poses drawn anywhere, that move the pose
+        by more than that and raise no bit."""
+        silent, far = self._stuck(lambda rng, low, high: rng.uniform(low, high, STUCK))
+        return float((silent & far).mean())
+
+    @cached_property
+    def samples(self) -> int:
+        """Samples at poses drawn anywhere of which one raises a bit in `SURE` of the cases, whichever reading
+        is dead."""
+        silent = self._stuck(lambda rng, low, high: np.clip(0.0, low, high))[0].mean(axis=1).max()
+        return ceil(log(1 - SURE) / log(silent)) if 0 < silent < 1 else 1
 
     # -- without a suspect ---------------------------------------------------------------------------------
 
@@ -395,6 +411,11 @@ class _Judgement:
             f"half of the "
             f"places by less than {_listed(typical)}."
         ]
+        if not d.watched[0].error:  # of a board, a sensor that no array is over may be dead
+            out.append(
+                f"A dead reading raises a bit in {100 * SURE:g} % of the cases within "
+                f"{counted(self.samples, 'sample')} at different places."
+            )
         if self.missed > 0:
             out.append(
                 f"Of readings that stick anywhere in their range {100 * self.missed:.2g} % happen to "
