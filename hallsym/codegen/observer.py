@@ -162,18 +162,15 @@ def observer_of(
     log_: Log,
     *,
     bandwidth_hz: float | None = None,
-    ahead: float | None = None,
     latency: float = 0.0,
 ) -> Observer:
     """Return the observer that leaves least of the reference of a log, rms over the accuracy of each
     coordinate.
 
-    `bandwidth_hz`: taken instead; `ahead`: time [s] after each sample that is predicted, default the period
-    of the samples. Raises `InputError` where a log has too few samples.
+    `bandwidth_hz`: taken instead. Raises `InputError` where a log has too few samples.
     """
     runs = _runs(fit, log_)
     period = float(f"{np.median(np.concatenate([np.diff(t) for t, *_ in runs])):.6g}")
-    time = period if ahead is None else ahead
     if bandwidth_hz is not None:
         best = Observer(bandwidth_hz, period, latency)
     else:
@@ -183,14 +180,14 @@ def observer_of(
         ]
         floor = np.array([fit.noise_floor.get(c) or 1.0 for c in fit.model.pose])[:, None, None]
         left = [np.sum((error / floor) ** 2, axis=(0, 2)) / np.sum(counts, axis=1)
-                for _, _, error, counts in (_errors(fit, run, tried, time) for run in runs)]  # fmt: skip
+                for _, _, error, counts in (_errors(fit, run, tried, period) for run in runs)]  # fmt: skip
         best = tried[int(np.argmin(np.nanmean(left, axis=0)))]
     said = [
-        f"{one.column} predicted {1e3 * time:.3g} ms ahead is off, rms, by {one.predicted[-1]:.2g} "
+        f"{one.column} predicted {1e3 * period:.3g} ms ahead is off, rms, by {one.predicted[-1]:.2g} "
         f"{unit(one.column)} at up to {one.speeds[-1]:.2g} {unit(one.column)}/s, and by "
         f"{one.predicted[0]:.2g} at up to {one.speeds[0]:.2g}; the last pose held by {one.last[-1]:.2g} and "
         f"{one.last[0]:.2g}, of the log with the noise of its reference."
-        for one in followed(fit, log_, best, time)
+        for one in followed(fit, log_, best)
     ]
     about = (
         f"decoupler_predict(): an observer with a bandwidth of {best.bandwidth_hz:.3g} Hz for samples every "
@@ -200,10 +197,10 @@ def observer_of(
     return replace(best, said=(about, *said))
 
 
-def followed(fit: Fit, log_: Log, observer: Observer, ahead: float | None = None) -> tuple[Followed, ...]:
-    """Return what an observer leaves of each coordinate of a log by speed, beside the last pose held."""
-    step = observer.period_s if ahead is None else ahead
-    found = [_errors(fit, run, [observer], step) for run in _runs(fit, log_)]
+def followed(fit: Fit, log_: Log, observer: Observer) -> tuple[Followed, ...]:
+    """Return what an observer leaves of each coordinate of a log by speed, one sample ahead, beside the last
+    pose held."""
+    found = [_errors(fit, run, [observer], observer.period_s) for run in _runs(fit, log_)]
     speed = np.hstack([f[0][:, f[3][0]] for f in found])
     last = np.hstack([f[1][:, f[3][0]] for f in found])
     predicted = np.hstack([f[2][:, 0, f[3][0]] for f in found])
