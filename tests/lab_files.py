@@ -389,6 +389,44 @@ def beside_meta(file: Path, columns: Columns) -> None:
     (file.parent / "meta.json").write_text(json.dumps({"noise_1sigma": noise}))
 
 
+def with_statistics(file: Path, columns: Columns) -> None:
+    """A table and, below it, the mean and the extremes of each column."""
+    text()(file, columns)
+    rows = [
+        f"{name},{','.join(usual(of(x)) for x in list(columns.values())[1:])}"
+        for name, of in (("Mean", np.mean), ("Std. dev.", np.std), ("Max", np.max))
+    ]
+    file.write_text("\n".join([file.read_text(encoding="utf-8"), "Statistics", *rows, ""]), encoding="utf-8")
+
+
+def segments(path: Path, data: Columns) -> Written:
+    """A LabVIEW measurement file with a header before each run, whose values change."""
+    parts = []
+    for run, part in enumerate(runs_of(data)):
+        columns, known = theirs(part, ASIDE, NAMES | {"t_s": "X_Value"}, UNIT | {"t_s": ""})
+        _, units, values = zip(*named(columns), strict=True)
+        n = len(values) - 1
+        head = [["Samples", *[f"{len(values[0])}"] * n], ["Time", *[f"12:0{run}:00"] * n],
+                ["Y_Unit_Label", *units[1:]], ["***End_of_Header***"]]  # fmt: skip
+        above = "".join("\t".join(cells) + "\n" for cells in head)
+        text("\t", above=above)(path / "part.lvm", {name: x for (name, _, x) in named(columns)})
+        parts.append((path / "part.lvm").read_text(encoding="utf-8"))
+    (path / "segments.lvm").write_text("\n".join(parts), encoding="utf-8")
+    return Written([str(path / "segments.lvm")], known | {"t_s": Known("X_Value", "s")})
+
+
+def file_per_channel(path: Path, data: Columns) -> Written:
+    """A file for each channel of an oscilloscope, all with the same names."""
+    above = "LECROYWS3000,18446,Waveform\nSegments,1,SegmentSize,120\nSegment,TrigTime,TimeSinceSegment1\n"
+    known = {"v_sin_v": Known("C1 Ampl", "v"), "v_cos_v": Known("C2 Ampl", "v"),
+             "angle_ref_rad": Known("C3 Ampl", "rad"), "t_s": Known("Time", "s")}  # fmt: skip
+    for c in list(known)[:3]:
+        text(above=above)(path / f"{known[c].name[:2]}.csv", {"Time": data["t_s"], "Ampl": data[c]})
+    return Written(
+        [str(path / "C1.csv"), "--join", str(path / "C2.csv"), "--join", str(path / "C3.csv")], known
+    )
+
+
 # -- runs side by side, two files ---------------------------------------------------------------------------
 
 
@@ -461,6 +499,30 @@ def titled_sheet(file: Path, columns: Columns) -> None:
              for k, (name, unit, x) in enumerate(named(columns), 1)]  # fmt: skip
     title = (0, 1, ["Stage 12, calibration"])
     book(file, {"Notes": [(0, 0, ["Operator", "M.", "Room 12"])], "Data": [title, *table]})
+
+
+def merged_cells(file: Path, columns: Columns) -> None:
+    """A sheet on which one cell beside all rows of a run holds its number."""
+    import xlsxwriter
+
+    run, others = columns["Run"], [name for name in columns if name != "Run"]
+    with xlsxwriter.Workbook(str(file)) as made:
+        page = made.add_worksheet("Messung")
+        page.write_row(0, 0, ["Run", *others])
+        for k in np.unique(run):
+            rows = np.flatnonzero(run == k)
+            page.merge_range(rows[0] + 1, 0, rows[-1] + 1, 0, int(k))
+        for column, name in enumerate(others, 1):
+            page.write_column(1, column, columns[name])
+
+
+def row_per_run(file: Path, columns: Columns) -> None:
+    """Parquet with a row per run: its name, and a record of lists."""
+    import pyarrow
+    from pyarrow import parquet
+
+    rows = [{"run_id": f"2026-01-30_{run:02d}", "data": part} for run, part in parts_by_run(columns)]
+    parquet.write_table(pyarrow.Table.from_pylist(rows), file)
 
 
 def two_tables(file: Path, columns: Columns) -> None:
@@ -889,6 +951,15 @@ FILES: dict[str, LabFile] = {
     "names before numbers": LabFile(saved("plot.csv", names_before_numbers, SNAKE, UNDER)),
     "a clock for each channel": LabFile(one_run(saved("scope.csv", own_clocks, ASIDE))),
     "channels in their own rows": LabFile(saved("bus.csv", own_rows), within=0.2),
+    "statistics below": LabFile(saved("statistics.csv", with_statistics)),
+    "segments of LabVIEW": LabFile(segments),
+    "a file for each channel": LabFile(one_run(file_per_channel), "rotary"),
+    "merged cells": LabFile(saved("merged.xlsx", merged_cells)),
+    "a row per run": LabFile(saved("lake.parquet", row_per_run, SNAKE, UNDER)),
+    "milliseconds behind a colon": LabFile(saved("scan.csv", text(";"), clock=(
+        "Time", lambda t: [stamp[:-3].replace(".", ":") for stamp in stamps(t)]))),
+    "names behind a word in a comment": LabFile(saved("ids.txt", text(
+        " ", above="# axis 1 = x\n", head=lambda names: "# columns: " + " ".join(names)), SNAKE, UNDER)),
     "Chinese": LabFile(saved("数据.csv", text(encoding="gb18030"), "{name}({plain})", CHINESE)),
     "HDF5, a matrix with names": LabFile(saved("matrix.h5", hdf5_matrix, ASIDE)),
     "lists and records": LabFile(knows(

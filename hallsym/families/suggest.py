@@ -277,6 +277,7 @@ def suggest(source: Source, model: str | None = None, meta: Meta | None = None) 
     """
     data = _numbers(source)
     if not data:
+        source.read(source.names[-1:])  # where a line is at fault, it is named
         raise InputError("No column of the file holds numbers; nothing can be suggested.")
     forms = _models(source, data, model, meta or Meta())
     tried = [(form, _guesses(source, data, form)) for form in forms]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.log.columns import TIME_WORDS, T, stems_of
+from hallsym.log.columns import RUN, RUN_WORDS, TIME_WORDS, T, stems_of
 from hallsym.log.table import Arrays, Source, load
 from hallsym.units import UNITS, Array, split_unit
 
@@ -57,7 +57,7 @@ class Timed(Source):
         return self.clocks[name]
 
 
-_CLOCK = r"(?P<hour>\d{1,2}):(?P<min>\d{2}):(?P<sec>\d{2}(?:[.,]\d{1,9})?)"
+_CLOCK = r"(?P<hour>\d{1,2}):(?P<min>\d{2}):(?P<sec>\d{2}(?:[.,]\d{1,9}|:\d{3})?)"
 _ZONE = r"\s*(?P<zone>Z|[+-]\d{2}:?\d{2})"
 _DATES = (
     r"(?P<y>\d{4})[-/.](?P<m>\d{1,2})[-/.](?P<d>\d{1,2})[T ]\s*",
@@ -138,7 +138,7 @@ class Seconds:
             )
         two = {name: compute.utf8_lpad(part[name], 2, "0") for name in ("m", "d", "hour") if name in part}
         day = join(part["y"], two["m"], two["d"], "-") if "y" in part else "1970-01-01"
-        clock = join(two["hour"], part["min"], compute.replace_substring(part["sec"], ",", "."), ":")
+        clock = join(two["hour"], part["min"], compute.replace_substring_regex(part["sec"], "[,:]", "."), ":")
         try:
             if odd:
                 raise arrow.ArrowInvalid(odd[0])
@@ -196,7 +196,19 @@ def array_of(column: Any) -> Array:
 
 
 class Memory(Arrays, Timed):
-    """A table in memory."""
+    """A table in memory; columns of `words` may name runs."""
+
+    words: Mapping[str, Any] = {}
+
+    def texts(self, name: str) -> list[object] | None:
+        """Return the cells of a column of words."""
+        return self.words[name].to_pylist() if name in self.words else None
+
+    def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
+        """Yield everything at once."""
+        if word := next((name for name in names if name in self.words), None):
+            raise InputError(f"Column '{word}' must hold numbers; it holds words.")
+        yield from super().chunks(names, size)
 
 
 def source_of(data: Any, where: str) -> Memory:
@@ -216,14 +228,19 @@ def source_of(data: Any, where: str) -> Memory:
         for name, kind in typed.items()
         if (form := "" if is_time(kind) else _form_of(given[name])) is not None
     }
+    words = {name for name, kind in typed.items() if _is_text(kind) and name not in timed}
     kept = [
         name
         for name, values in given.items()
         if (is_numeric(typed[name]) or name in timed if name in typed else values.dtype.kind in "fiu")
+        or (name in words and not {RUN, *RUN_WORDS}.isdisjoint(re.split(r"[\W_]", name.lower())))
     ]
     source = Memory({})
     source.take(stems_of(kept), {k: timed[name] for k, name in enumerate(kept) if name in timed}, where)
+    source.words = {n: given[text] for n, text in zip(source.names, kept, strict=True) if text in words}
     for name, text in zip(source.names, kept, strict=True):
+        if name in source.words:
+            continue
         values = source.reader(name)(given[text]) if text in typed else given[text]
         if values.ndim != 1 or len(values) != len(next(iter(source.columns.values()), values)):
             raise InputError(
@@ -237,9 +254,13 @@ def source_of(data: Any, where: str) -> Memory:
 
 def _form_of(cells: Any) -> str | None:
     """Return how a column of text writes times; None for any other column."""
+    words = _is_text(cells.type)
+    return time_form([cell for cell in cells[:_FEW].to_pylist() if cell]) if words else None
+
+
+def _is_text(kind: Any) -> bool:
     types = load("pyarrow").types
-    text = types.is_string(cells.type) or types.is_large_string(cells.type)
-    return time_form([cell for cell in cells[:_FEW].to_pylist() if cell]) if text else None
+    return bool(types.is_string(kind) or types.is_large_string(kind))
 
 
 _FEW = 1000
@@ -257,8 +278,10 @@ def _columns_of(data: Any, where: str) -> Iterator[tuple[str, Any]]:
     if not any(arrow.types.is_nested(column.type) for column in columns.values()):
         return iter(columns.items())
     one = table.num_rows == 1
-    named = columns.items() if one else _samples(columns, table.num_rows)
-    parts = [part for name, column in named for part in _entries(name, column, one)]
+    if not one:  # lists of samples may stand within records
+        columns = dict(part for item in columns.items() for part in _entries(*item, one, lists=False))
+        columns = dict(_samples(columns, table.num_rows))
+    parts = [part for name, column in columns.items() for part in _entries(name, column, one)]
     rows = max((len(column) for _, column in parts), default=0)
     return iter([(name, column) for name, column in parts if len(column) == rows])
 
@@ -292,11 +315,11 @@ def _samples(columns: Mapping[str, Any], rows: int) -> Iterator[tuple[str, Any]]
         yield name, load("pyarrow.compute").list_flatten(column) if name in lists else column.take(each)
 
 
-def _entries(name: str, column: Any, one: bool) -> Iterator[tuple[str, Any]]:
+def _entries(name: str, column: Any, one: bool, lists: bool = True) -> Iterator[tuple[str, Any]]:
     """Yield the columns that a column of records or lists holds, by name; of one record by their own.
 
     A unit behind its name is that of its columns: {"hall_um": {"a": 1.5}} is `hall_a_um`, {"hall_um": [1.5]}
-    is `hall_0_um`.
+    is `hall_0_um`. Without `lists`, a column of lists stays one.
     """
     compute, lengths = load("pyarrow.compute"), _lengths(column)
     stem, _, last = name.rpartition("_")
@@ -306,8 +329,8 @@ def _entries(name: str, column: Any, one: bool) -> Iterator[tuple[str, Any]]:
     elif load("pyarrow").types.is_struct(column.type):
         for k, field in enumerate(column.type):
             under = field.name if one else f"{stem}_{field.name}{unit}"
-            yield from _entries(under, compute.struct_field(column, k), one)
-    elif lengths is not None and len(set(lengths)) == 1 and 0 < lengths[0] <= MOST_COLUMNS:
+            yield from _entries(under, compute.struct_field(column, k), one, lists)
+    elif lists and lengths is not None and len(set(lengths)) == 1 and 0 < lengths[0] <= MOST_COLUMNS:
         for k in range(int(lengths[0])):
             yield from _entries(f"{stem}_{k}{unit}", compute.list_element(column, k), one)
     else:

@@ -48,10 +48,9 @@ class CsvSource(Timed):
         self.notes += (*odd, *([_TORN.format(self.where)] if dialect.torn else []))
 
     def count(self) -> int:
-        """Return the number of rows: the lines are counted, but for words between them."""
+        """Return the number of rows: the lines are counted."""
         if not hasattr(self, "rows"):
-            pieces = (piece.count("\n") for piece in self._pieces())
-            self.rows = super().count() if self.dialect.remarks else sum(pieces)
+            self.rows = sum(piece.count("\n") for piece in self._pieces())
         return self.rows
 
     def head(self, count: int, most: int) -> list[list[str]]:
@@ -71,7 +70,6 @@ class CsvSource(Timed):
         parse = csv.ParseOptions(
             delimiter=dialect.sign,
             quote_char='"' if dialect.quoted else False,
-            invalid_row_handler=lambda row: "skip" if dialect.is_remark(row.text) else "error",
         )
         convert = csv.ConvertOptions(
             column_types=dict.fromkeys(labels, arrow.float64())
@@ -101,8 +99,7 @@ class CsvSource(Timed):
     def _cells(self) -> Iterator[list[str]]:
         """Yield the rows of the table as text."""
         for piece in self._pieces():
-            rows = (line for line in piece.split("\n")[:-1] if not self.dialect.is_remark(line))
-            yield from (split(line, self.dialect.sign) for line in rows)
+            yield from (split(line, self.dialect.sign) for line in piece.split("\n")[:-1])
 
 
 class CsvWriter:
@@ -135,7 +132,7 @@ def first_fault(source: CsvSource, indices: Sequence[int], error: Exception) -> 
     dialect, clean = source.dialect, cleaning(source.dialect)
     for number, line in enumerate(source.text.lines(source.where), start=1):
         text = clean(f"{line}\n")[:-1] if number >= dialect.first else ""
-        if not text or dialect.is_remark(text):
+        if not text:
             continue
         cells = split(text, dialect.sign)
         if len(cells) != len(source.names):
@@ -190,15 +187,16 @@ def cleaning(dialect: Dialect) -> Callable[[str], str]:
     sign = dialect.sign
     beside = re.compile(rf'"[ ]*{re.escape(sign)}[ ]*"')
 
+    def words(line: str) -> bool:
+        return line in dialect.repeated or dialect.is_remark(line)
+
     def clean(lines: str) -> str:
         if lines.startswith(_BLANK) or cells in lines or any("\n" + first in lines for first in _BLANK):
             lines = empty.sub("", lines)  # looking for one first is ten times as fast
         if any(mark in lines for mark in dialect.comments):
             lines = comment.sub("", lines)
-        if any(head in lines for head in dialect.repeated):
-            lines = "".join(
-                line for line in lines.splitlines(True) if line.rstrip("\n") not in dialect.repeated
-            )
+        if dialect.remarks or any(head in lines for head in dialect.repeated):
+            lines = "".join(line for line in lines.splitlines(True) if not words(line.rstrip("\n")))
         for spelling in dialect.spelled:
             lines = spelling(lines)
         if dialect.quoted and (f'{sign} "' in lines or f'" {sign}' in lines):

@@ -33,8 +33,12 @@ def open_workbook(path: Path, sheet: str | None = None, decimal: str | None = No
 
 
 def _rows(book: Any, name: str) -> list[list[Any]]:
-    rows: Iterator[list[Any]] = book.get_sheet_by_name(name).iter_rows()
+    sheet = book.get_sheet_by_name(name)
+    rows: Iterator[list[Any]] = sheet.iter_rows()
     found = list(rows)
+    for (top, left), (bottom, _) in sheet.merged_cell_ranges or ():
+        for row in found[top + 1 : bottom + 1]:  # a run's number beside all of its rows
+            row[left] = found[top][left]
     return found if any(cell != "" for row in found for cell in row) else []
 
 

@@ -311,11 +311,12 @@ def files_of(path: str | Path) -> list[Path]:
 
 
 def _of_one_kind(paths: Iterable[Path], suffixes: Sequence[str]) -> list[Path]:
-    """Return the files of the suffix that most of them have: notes may lie beside runs."""
+    """Return the files of the most frequent suffix, of several the first: notes may lie beside runs."""
     known = (path for path in paths if path.suffix.lower() in suffixes and path.name[0] != ".")
     files = [path for path in known if path.is_file()]
     counts = Counter(path.suffix for path in files)
-    return [path for path in files if counts[path.suffix] == max(counts.values())]
+    usual = max(counts, key=lambda suffix: (counts[suffix], -suffixes.index(suffix.lower())), default="")
+    return [path for path in files if path.suffix == usual]
 
 
 def natural(path: Path) -> list[tuple[int, str]]:

@@ -149,6 +149,8 @@ def runs(groups: Sequence[Group], named: bool = True) -> dict[int, Group]:
     `named`: only groups whose names end in different numbers are runs; others are counted from 0.
     """
     same = len({(*sorted(g.channels), *sorted(g.units.items())) for g in groups}) == 1 and len(groups) > 1
+    each = groups[0]  # or a file for each channel
+    same &= not (each.clock and each.source.path and len({*each.channels} - {RUN, each.clock}) == 1)
     numbers = [number_of(g.name) for g in groups]
     if -1 in numbers or len(set(numbers)) < len(numbers):
         numbers = [] if named else list(range(len(groups)))

@@ -13,6 +13,7 @@ import numpy as np
 
 from hallsym.errors import InputError, nearest
 from hallsym.log.columns import RUN, Binding, Foreign, has_meaning, listed
+from hallsym.log.text.cells import is_number
 from hallsym.units import Array, split_unit
 
 IN_MEMORY_ROWS = 2_000_000
@@ -253,7 +254,7 @@ class Table:
         except InputError:
             name = self.bindings[RUN].source if RUN in self.bindings else ""
             labels = self.source.labels(name) if name in sources else [""]
-            if any(text[:1].isdigit() or not text for text in labels):
+            if any(is_number(text) or not text for text in set(labels)):
                 raise
             known: dict[str, int] = {}
             runs = np.array([known.setdefault(text, len(known)) for text in labels])

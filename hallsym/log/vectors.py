@@ -173,7 +173,8 @@ def arranged(
 ) -> Source:
     """Return the table of arrays by path; `by` stands between the parts of a path."""
     vectors, left_out = dict[str, Vector](), dict(left_out)
-    widths = [min(a.shape) for a in arrays.values() if a.dtype.kind in "fiu" and len(a.shape) == 2]
+    matrices = {p.split(by)[-1]: a for p, a in arrays.items() if a.dtype.kind in "fiu" and len(a.shape) == 2}
+    widths = [min(matrix.shape) for matrix in matrices.values()]  # once where each run has it
     texts = _texts(arrays, opened) if widths else ()
     arrays = {
         path: array._replace(texts=(*array.texts, *(t for t in texts if widths.count(len(t)) == 1)))
@@ -193,6 +194,9 @@ def arranged(
     found = []
     for group, own in paths.items():
         sizes = list(dict.fromkeys(vector.rows for vector in own.values()))
+        if runs and max(sizes) > 1:  # one value is a setting of the run, no sample
+            left_out |= {name: "it holds one value" for name, vector in own.items() if vector.rows == 1}
+            sizes = [rows for rows in sizes if rows > 1]
         if len(sizes) > 1 and runs:
             raise InputError(
                 f"Columns of group '{group}' of {where} must be equally long; they have"

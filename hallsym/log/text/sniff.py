@@ -9,7 +9,7 @@ import io
 import os
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -45,7 +45,8 @@ class Dialect:
     line the table begins at, from 1. `remarks`: whether lines of words stand between or after the rows.
     `quoted`: whether quotes stand around cells. `times`: columns of times as text, and how they are written
     (`time_form`). `torn`: whether the last line does not end. `spelled`: how numbers are written otherwise.
-    `repeated`: the lines of names and units, which come again where files were put one behind another.
+    `repeated`: the lines of names and units, which come again where files were put one behind another;
+    `heads`: the first cells of lines above them, which come again with other values.
     `said`: one line on all of it; `usual`: whether it needs no word.
     """
 
@@ -60,6 +61,7 @@ class Dialect:
     times: dict[int, str]
     spelled: tuple[Spelling, ...]
     repeated: frozenset[str]
+    heads: frozenset[str]
     said: str
     usual: bool
 
@@ -70,7 +72,7 @@ class Dialect:
 
     def is_remark(self, line: str) -> bool:
         """Say whether a clean line holds words about the table, where it has such lines."""
-        return self.remarks and _is_remark(line, self.sign, len(self.stems))
+        return self.remarks and _is_remark(line, self.sign, len(self.stems), self.heads)
 
 
 def stated_delimiter(text: str) -> str:
@@ -131,9 +133,11 @@ class Split:
         rows = [split(line.text, delimiter) for line in lines]
         counts = Counter(len(row) for row, line in zip(rows, lines, strict=True) if not line.comment)
         self.width = max(counts, key=lambda n: counts[n], default=0)
-        self.rows = [
-            [] if line.comment and len(r) != self.width else r for r, line in zip(rows, lines, strict=True)
-        ]
+        for k, row in enumerate(rows):
+            if lines[k].comment:  # of names, perhaps behind a word: `# columns: time x y`
+                row = row[1:] if row and row[0].endswith(":") and len(row) == self.width + 1 else row
+                rows[k] = row if len(row) == self.width else []
+        self.rows = rows
         numeric = [sum(map(is_number, row[:LOOKED_AT])) for row in self.rows]
         self.top, self.data = self._top(numeric)
         if self.top >= 0 and len(self.names) == self.width + 1 and self.names[-1].lower() == COMMENT:
@@ -160,7 +164,7 @@ class Split:
         words = [k for k in words if abs(len(self.rows[k]) - width) <= 1] or words[-1:]
         if words:
             names = [k for k in words if not is_unit_row(self.rows[k])] or words
-            return max(names, key=lambda k: (len(set(self.rows[k])), k)), words[-1] + 1
+            return max(names, key=lambda k: (min(len(set(self.rows[k])), width), k)), words[-1] + 1
         first = next((k for k, row in enumerate(self.rows) if row), -1)
         if first < 0 or numeric[first] >= min(len(self.rows[first]), LOOKED_AT):
             return -1, 0
@@ -213,6 +217,7 @@ LAST = 20
 _COMMENTS = ("#", "%", "//", "!")
 _SEP = re.compile(r"sep=(.)", re.IGNORECASE)
 _WORD = re.compile(r"[^\W\d_]\w+")
+_BEGINS = re.compile(rf"[\s\"']*(?:{_WORD.pattern}|\*)")
 
 
 def sniffed(
@@ -244,6 +249,7 @@ def sniffed(
     names = [*table.names, *[""] * (table.width - len(table.names) == 1 and table.trailing)]
     stems = stems_of(names, list(map(unit_of, units)), where)
     header, repeated = lines[table.top].number, frozenset(line.text for line in lines[table.top : first])
+    heads = frozenset(row[0] for row in table.rows[: table.top] if row)
     below = [line for line in lines[first:] if line.text not in repeated]
     body = [row for line in below if len(row := split(line.text, table.delimiter)) == table.width]
     counts = [line.text.count('"') for line in below]
@@ -257,7 +263,7 @@ def sniffed(
             for line in (*(line.text for line in below), *ends)
             if not line.lstrip(' \t"').startswith(marks)
         ]
-        remarks = [line.strip() for line in seen if _is_remark(line, table.delimiter, len(stems))]
+        remarks = [line.strip() for line in seen if _is_remark(line, table.delimiter, len(stems), heads)]
     above = sum(line.number < header and not line.comment for line in lines)
     group = f" and {numbers.grouping!r} between thousands" if numbers.grouping else ""
     said = [
@@ -273,7 +279,7 @@ def sniffed(
     return Dialect(
         table.delimiter, stems, below[0].number if below else lines[-1].number + 1, numbers, marks, quoted,
         bool(remarks), not text.end.endswith("\n") and text.end.strip().rpartition("\n")[2] not in remarks,
-        _times(body), tuple(spelled), repeated,
+        _times(body), tuple(spelled), repeated, heads,
         ", ".join(said), usual=plain and not (units_line or remarks or above or spelled),
     )  # fmt: skip
 
@@ -350,11 +356,19 @@ def _times(body: list[list[str]]) -> dict[int, str]:
     return found
 
 
-def _is_remark(line: str, delimiter: str, width: int) -> bool:
-    """Say whether a line begins with a word and has another number of cells than the table."""
-    cells = split(line, delimiter)
-    first = cells[0] if cells else ""
-    return len(cells) != width and bool(_WORD.match(first)) and first not in MISSING and not is_number(first)
+def _is_remark(line: str, delimiter: str, width: int, heads: Collection[str]) -> bool:
+    """Say whether a line begins with a word, where rows begin with a number, and is no row of names.
+
+    It has another number of cells than the table, numbers behind its word (`Mean,0.5,1.2`), or begins as a
+    line above the names does, of `heads`.
+    """
+    if not _BEGINS.match(line):
+        return False
+    first, *others = split(line, delimiter) or [""]
+    if first in MISSING or is_number(first) or first in heads:
+        return first in heads
+    numbers = all(cell in MISSING or is_number(cell) for cell in others)
+    return bool(_WORD.match(first)) and (len(others) + 1 != width or numbers)
 
 
 # -- bytes -----------------------------------------------------------------------------------------------
