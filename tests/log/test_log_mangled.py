@@ -294,3 +294,13 @@ def test_lines_after_a_table_are_left_out_wherever_the_text_is_cut(
         monkeypatch.setattr("hallsym.log.text.sniff.PIECE", piece)
         log = read_log(tmp_path / "log.csv")
         assert (log.rows, log.array("x_ref_m").tolist()) == (2, [1.0, 2.0]), piece
+
+
+def test_names_in_another_order_are_no_header_that_comes_again(tmp_path: Path) -> None:
+    rows = "".join(f"{k},{k}e-6,{k}e-6\n" for k in range(9))
+    head = "rig,3,3\nt_s,12:30,12:30\nt_s,x_ref_m,y_ref_m\n"
+    (tmp_path / "log.csv").write_text(
+        head + rows + head.replace("12:30", "12:40").replace("x_ref_m,y_ref_m", "y_ref_m,x_ref_m") + rows
+    )
+    with pytest.raises(InputError, match=r"Line 14, column .* must be a number"):
+        read_log(tmp_path / "log.csv").array("x_ref_m")

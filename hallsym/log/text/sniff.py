@@ -46,7 +46,7 @@ class Dialect:
     `quoted`: whether quotes stand around cells. `times`: columns of times as text, and how they are written
     (`time_form`). `torn`: whether the last line does not end. `spelled`: how numbers are written otherwise.
     `repeated`: the lines of names and units, which come again where files were put one behind another;
-    `heads`: the first cells of lines above them, which come again with other values.
+    `heads`: the first cells of lines above them, no names, which come again with other values.
     `said`: one line on all of it; `usual`: whether it needs no word.
     """
 
@@ -249,7 +249,7 @@ def sniffed(
     names = [*table.names, *[""] * (table.width - len(table.names) == 1 and table.trailing)]
     stems = stems_of(names, list(map(unit_of, units)), where)
     header, repeated = lines[table.top].number, frozenset(line.text for line in lines[table.top : first])
-    heads = frozenset(row[0] for row in table.rows[: table.top] if row)
+    heads = frozenset(row[0] for row in table.rows[: table.top] if row) - {*names}
     below = [line for line in lines[first:] if line.text not in repeated]
     body = [row for line in below if len(row := split(line.text, table.delimiter)) == table.width]
     counts = [line.text.count('"') for line in below]
