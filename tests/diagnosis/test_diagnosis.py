@@ -19,11 +19,10 @@ from hallsym.diagnosis.setup import base_of
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.families.stage.effects.field import hysteresis
-from hallsym.log import Log, Meta, Noise, Sigma, extended
+from hallsym.log import Log, Meta, extended
 from hallsym.model import Model, Parameter, Variant
 from hallsym.model.derived import HALVES, rate, run_time, widest_half
 from hallsym.model.effect import as_effect
-from hallsym.simulation import paper_campaign
 
 SLOW = pytest.mark.slow
 NAMED = (
@@ -81,19 +80,6 @@ def test_what_no_catalogue_lists_is_unexplained(name: str) -> None:
 def test_white_noise_is_no_gap(quiet: tuple[Log, Diagnosis]) -> None:
     _, found = quiet
     assert (found.verdict, found.ranked, found.groups) == ("no gap", (), ())
-
-
-def with_sigma(log: Log, factor: float) -> Log:
-    sigmas = {c: Sigma(factor * s.value, "given") for c, s in log.noise.sigmas.items()}
-    return replace(log, noise=Noise(sigmas))
-
-
-@pytest.mark.slow
-def test_noise_stated_a_tenth_too_small_is_told_as_noise(quiet: tuple[Log, Diagnosis]) -> None:
-    found = diagnose(with_sigma(quiet[0], 0.89))
-    assert found.verdict == "noise larger than stated"
-    assert found.noise is not None
-    assert found.noise.ratio == pytest.approx(1 / 0.89, rel=0.03)
 
 
 @pytest.mark.slow
@@ -200,15 +186,6 @@ def test_tangents_predict_what_a_refit_finds() -> None:
     linear = np.linalg.lstsq(M[:-1, :-1], M[:-1, -1], rcond=1e-12)[0]
     expected = M[-1, -1] - M[:-1, -1] @ linear
     assert refit(with_model(start.base, wide), runs).cost == pytest.approx(expected, rel=0.02)
-
-
-@pytest.mark.slow
-def test_paper_campaign_without_a_gap() -> None:
-    columns = hallsym.simulate(
-        hallsym.build("stage31"), hallsym.families.published.values("table7_estimates"), paper_campaign(0.01),
-        hallsym.table8_noise(hallsym.build("stage31")), seed=2,
-    )  # fmt: skip
-    assert diagnose(Log.from_arrays(columns), "stage31").verdict == "no gap"
 
 
 def test_many_runs_are_pooled_and_change_nothing_of_the_sums() -> None:

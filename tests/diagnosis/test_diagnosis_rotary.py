@@ -1,7 +1,7 @@
 """Diagnosis of encoders: machines written in numpy hide one cause each, the diagnosis names it.
 
 Facts used beside the machines: waves of angle error per turn of a field harmonic, the phase of a low-pass,
-the field of a dipole off its axis, a knot table of a stepper with its pattern of 50 per turn.
+the field of a dipole off its axis.
 """
 
 from dataclasses import replace
@@ -158,58 +158,21 @@ def test_angles_of_an_encoder_are_read_in_degrees():
 # -- one recording ---------------------------------------------------------------------------------------
 
 
-def knots(seed=1, size=200):
-    """A table of knots: four waves per turn of the encoder, 50 of the stepper, no time."""
-    rng = np.random.default_rng(seed)
-    step = np.arange(size)
-    shaft = TURN * step / size
-    logged = shaft + 3e-3 * np.cos(50 * shaft + 0.4)
-    angle = shaft + 4e-3 * np.sin(4 * shaft) + 2e-4 * rng.standard_normal(size)
-    return Log.from_arrays({"angle_rad": angle, "angle_ref_rad": logged}, name="a knot table")
-
-
-@pytest.mark.slow
-def test_a_knot_table_tells_encoder_from_reference():
-    found = diagnose(knots(), "rotary")
-    by_name = {e.name: e for e in found.effects}
-    assert by_name["reference_pole_pairs"].link == "reference"
-    size = [e.value for e in by_name["reference_pole_pairs"].parameters.values()]
-    assert np.hypot(*size) == pytest.approx(3e-3, rel=0.05)
-    assert {"third_harmonic_distortion", "field_saturation", "odd_nonlinearity"} & set(by_name)
-    assert found.not_testable["time_skew"] == "no time logged"
-    assert found.shrinkage.value > 0.8
-    assert any("every other one as holdout" in note for note in found.notes)
-
-
-def clipped_resolver(level=0.7, latency_s=0.03, short=0.0):
-    """One turn forward and back at 1 rad/s, channels clipped before atan2, latency, a short reference."""
-    t = np.arange(0, 2 * TURN, 0.01)
-    shaft = np.where(t < TURN, t, 2 * TURN - t)
-    speed = np.where(t < TURN, 1.0, -1.0)
-    u = shaft - latency_s * speed
-    angle = np.arctan2(np.clip(np.sin(u), -level, level), np.clip(np.cos(u), -level, level))
-    noise = np.random.default_rng(3).normal(0, 2e-4, len(t))
-    return Log.from_arrays({"t_s": t, "angle_rad": angle + noise, "angle_ref_rad": shaft * (1 + short)})
-
-
 @pytest.mark.slow
 def test_an_overdriven_resolver_and_its_latency():
-    found = diagnose(clipped_resolver(), "ideal_arctan")
+    """One turn forward and back at 1 rad/s, channels clipped before atan2, old readings."""
+    t = np.arange(0, 2 * TURN, 0.01)
+    shaft = np.where(t < TURN, t, 2 * TURN - t)
+    u = shaft - 0.03 * np.where(t < TURN, 1.0, -1.0)
+    angle = np.arctan2(np.clip(np.sin(u), -0.7, 0.7), np.clip(np.cos(u), -0.7, 0.7))
+    angle = angle + np.random.default_rng(3).normal(0, 2e-4, len(t))
+    found = diagnose(Log.from_arrays({"t_s": t, "angle_rad": angle, "angle_ref_rad": shaft}), "ideal_arctan")
     effects = {e.name: e for e in found.effects}
     assert found.effects[0].name == "saturation"
-    assert effects["saturation"].p_value < 1e-4
     assert effects["saturation"].parameters["rail"].value == pytest.approx(0.7, abs=0.01)
     assert any("hysteresis" in g for g in found.groups)  # one speed: play is as good as a delay
     delay = effects.get("time_skew") or effects.get("first_order_lag")
     assert next(iter(delay.parameters.values())).value == pytest.approx(0.03, abs=2e-3)
-
-
-@pytest.mark.slow
-def test_a_short_turn_of_the_reference_is_the_references():
-    found = diagnose(clipped_resolver(level=2.0, short=-0.004), "ideal_arctan")
-    effects = {e.name: e for e in found.effects}
-    assert effects["reference_scale_error"].link == "reference"
-    assert effects["reference_scale_error"].parameters["scale"].value == pytest.approx(-0.004, rel=0.1)
 
 
 # -- the effects themselves ------------------------------------------------------------------------------

@@ -68,7 +68,13 @@ def test_a_table_is_taken_apart_by_its_waves(of_a_table):
     known = {w.per_turn: w.causes for w in d.waves}
     for n in (1, 2):
         assert {e.name for e in d.effects} & set(known[n]), n
-    assert {e.link for e in d.effects if e.name == "reference_pole_pairs"} == {"reference"}
+    (pattern,) = (e for e in d.effects if e.name == "reference_pole_pairs")
+    assert pattern.link == "reference"
+    size = [p.value for p in pattern.parameters.values()]
+    assert np.degrees(np.hypot(*size)) == pytest.approx(LIKE_A_TABLE[50][0], rel=0.05)
+    assert d.not_testable["time_skew"] == "no time logged"
+    assert d.shrinkage.value > 0.8
+    assert any("every other one as holdout" in note for note in d.notes)
     assert np.degrees(d.metric.after) < 0.02
 
 
@@ -117,12 +123,14 @@ def test_an_overdriven_input_is_clipping_beside_latency_and_a_short_reference():
     assert d.metric.after < 0.02 * d.metric.before
     assert d.verdict == "unexplained"  # what is left is 14 times the noise floor
     assert d.ranked[0] == "saturation"
+    assert d.effects[0].p_value < 1e-4
     found = {e.name: {n: p.value for n, p in e.parameters.items()} for e in d.effects}
     assert found["saturation"]["rail"] == pytest.approx(0.654, abs=0.003)
     assert found["saturation"]["clipped"] == pytest.approx(1.0, abs=0.02)
     (late,) = (v for n in ("time_skew", "first_order_lag") if n in found for v in found[n].values())
     assert late == pytest.approx(0.034, abs=0.001)
-    assert abs(found["reference_scale_error"]["scale"]) == pytest.approx(0.0024, abs=2e-4)
+    assert found["reference_scale_error"]["scale"] == pytest.approx(0.0024, abs=2e-4)
+    assert {e.link for e in d.effects if e.name == "reference_scale_error"} == {"reference"}
 
 
 @pytest.mark.slow
