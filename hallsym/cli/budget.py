@@ -51,7 +51,7 @@ log LOG <optional>              log whose workspace is evaluated
 --diagnosis JSON                file of 'hallsym diagnose LOG -o FILE.json': adds the model error, and
     the models that the log does not exclude, to the budget
 --range COLUMN=LOW:HIGH <repeat>  map U over two pose coordinates and the first state, such as x, y
-    and Z: --range x_um=-300:300 (repeat; what is not given is what LOG recorded)
+    and Z: --range x_um=-300:300 (repeat; default: the range that LOG recorded)
 []
 --monte-carlo N <int, alone=0>  confirm by propagating distributions (JCGM 101): N trials, or until
     stable
@@ -173,7 +173,7 @@ def _map(
     for column, span in axes.items():
         if span is None:
             raise InputError(
-                f"A map needs to know what it shall cover: give a LOG, or --range {column}=LOW:HIGH "
+                f"A map needs a range for each axis: give a LOG, or --range {column}=LOW:HIGH "
                 f"(a calibration does not hold its workspace)."
             )
     turn = fit.model.period

@@ -30,7 +30,7 @@ examples:
   hallsym codegen calib.json -o firmware                      C99, float32, parameters, self-test, proofs
   hallsym codegen new.json -o firmware --params-only          recalibrated: the parameters alone
   hallsym codegen calib.json -o firmware --range z_um=-200:200   the box within which status is 0
-  hallsym codegen angle.json -o firmware --accuracy angle_mrad=1   an encoder: the least code that is as near
+  hallsym codegen angle.json -o firmware --accuracy angle_mrad=1   an encoder: the smallest code within it
 then: make -C firmware check qemu misra prove
 """
 
@@ -59,7 +59,8 @@ calibration CALIB               a calibration saved by 'hallsym fit -o'
 --latency SECONDS <float=0.0>   of --predict: from the pose to the timestamp of its sample, which a
     prediction adds (default: 0)
 --double                        double instead of float, for hosts
---jacobian                      with slopes of the pose by the readings, for Kalman filters
+--jacobian                      with derivatives of the pose with respect to the readings, for
+    Kalman filters
 --allow-undetermined            use values that the log does not determine
 """
 

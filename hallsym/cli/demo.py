@@ -1,6 +1,6 @@
 """`hallsym demo`: the paper's calibration, step by step, on the bundled campaign: Tables 2, 4 and 8.
 
-Calibrate the bundled 6-DOF stage campaign as Chen et al. (Sensors 2016, 16, 872) do: designed
+Calibrate the bundled 6-DOF stage campaign as Chen et al. (Sensors 2016, 16, 872) do: nominal
 parameters, Model (30), Model (31), each beside the paper's own error table.
 """
 

@@ -53,10 +53,10 @@ logs LOG <several>              Parquet, CSV, MATLAB or HDF5 file, or a folder w
     search: shtlbo, tlbo, gbtlbo, screening
 --loss LOSS <=auto>             auto (take out isolated spikes if there are any), none, reject,
     tukey
---correct TEXT <repeat>         undo a mistake of the recording, as a claim states it: 'sign
+--correct TEXT <repeat>         undo a mistake of the recording, in the words of the claim: 'sign
     x_ref_m' (repeat)
---accept CLAIM <repeat>         a claim that is none here, by name, such as delay; all accepts every
-    one (repeat)
+--accept CLAIM <repeat>         overrule a claim by its name, such as delay; 'all' overrules every one
+    (repeat)
 --seed SEED <seed=0>            of the global search (default 0)
 @log
 """

@@ -1,8 +1,8 @@
 """`hallsym fleet`: calibrate many devices.
 
 Calibrate every device of a fleet, as many at once as there are cores, and write one row a device:
-parameters, uncertainties, verdict, and the reason where a log could not be fitted. A fleet that
-was stopped goes on where it was when the same command is given again. Prints how parameters
+parameters, uncertainties, verdict, and the reason where a log could not be fitted. The same
+command resumes a fleet that was interrupted. Prints how parameters
 spread between devices beyond the uncertainty of a fit, and which devices differ. The exit code is
 3 where a device is not good.
 """

@@ -16,7 +16,7 @@ examples:
 
 import shlex
 from argparse import Namespace
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import accumulate, zip_longest
 from pathlib import Path
@@ -41,6 +41,7 @@ from hallsym.log import Log, Meta, check_log, estimate_noise, open_source, spans
 from hallsym.log.columns import is_moving, split_header
 from hallsym.log.formats import FORMATS, Opened
 from hallsym.log.table import Source
+from hallsym.model import Model
 from hallsym.output import PROSE, fitted
 from hallsym.output import columns as columns_of_line
 from hallsym.report.content import Block, Content, Section, Table, text_of
@@ -80,7 +81,7 @@ def run(options: Namespace) -> int:
     options.join = [*others, *options.join]
     if options.file is None:
         record: dict[str, Any] = {
-            "models": {name: (make.__doc__ or "").strip().split("\n")[0] for name, make in models().items()},
+            "models": {name: _meaning(make) for name, make in models().items()},
             "effects": {name: effect.meaning for name, effect in effects().items()},
             "solvers": list(SOLVERS),
             "losses": list(LOSSES),
@@ -137,7 +138,7 @@ def _log(options: Namespace) -> int:
     return OK
 
 
-SHOWN_ROWS, SHOWN_COLUMNS = 3, 40
+SHOWN_ROWS, SHOWN_COLUMNS, SHOWN_DIGITS = 3, 40, 12
 
 
 def _opened(options: Namespace) -> Opened:
@@ -152,7 +153,7 @@ def _head(source: Source) -> list[Block | str]:
     named = [name in source.units and not split_header(name)[1] for name in names]
     units = [f" [{source.units[name]}]" if open else "" for name, open in zip(names, named, strict=True)]
     columns = [
-        [name + unit, *(row[k] for row in rows if k < len(row))]
+        [name + unit, *(_short(row[k]) for row in rows if k < len(row))]
         for k, (name, unit) in enumerate(zip(names, units, strict=True))
     ]
     ends = list(accumulate(max(map(len, column)) + 2 for column in columns))
@@ -163,6 +164,14 @@ def _head(source: Source) -> list[Block | str]:
     lines += [Table(table[0], table[1:], "first rows", left=0)] if table else []
     lines += [f"and {counted(more, 'column')} more"] if more > 0 else []
     return [*lines, *(f"left out: {name} ({why})" for name, why in source.left_out.items())]
+
+
+def _short(cell: str) -> str:
+    """Return a cell of a file; of a number with more digits than a person compares the first ones."""
+    try:
+        return cell if len(cell) <= SHOWN_DIGITS else f"{float(cell):.6g}"
+    except ValueError:
+        return cell
 
 
 def _write(options: Namespace) -> int:
@@ -208,6 +217,12 @@ def _write(options: Namespace) -> int:
         then=following,
     )
     return OK
+
+
+def _meaning(make: Callable[..., Model]) -> str:
+    """Return the noun of the first line of a docstring: it says what is returned."""
+    said = (make.__doc__ or "").strip().split("\n")[0].removeprefix("Return ")
+    return said[:1].upper() + said[1:]
 
 
 def _listing(record: Mapping[str, Any]) -> Content:

@@ -44,7 +44,7 @@ ranges TOML <optional>          ranges file (docs/plan.md)
     variance, worst-determined combination, worst position uncertainty over the ranges (default D)
 --runs N <int>                  at most so many runs
 --minutes M <float>             at most so long, with resets
---after LOG                     a log that is recorded already: the plan adds what it lacks
+--after LOG                     a log that is recorded already, which the plan complements
 --values JSON                   calibration to plan for (default: fitted to the log of --after, else
     the published or example values)
 --reference REFERENCE <{"|".join(REFERENCES)}>  an encoder of several Halls without a reference:

@@ -28,7 +28,7 @@ EPILOG = """\
 examples:
   hallsym sensitivity calib.json LOG --plots pictures
   hallsym sensitivity --model stage31 --plan                  the paper's campaign, before data
-  hallsym sensitivity calib.json --plan next.toml             what a plan would tell of the machine
+  hallsym sensitivity calib.json --plan next.toml             what a planned campaign would determine
 """
 OPTIONS = """
 calibration CALIB <optional>    saved by 'hallsym fit -o'
@@ -70,7 +70,7 @@ def _recorded(options: Namespace) -> Identifiability:
 
 def _planned(options: Namespace) -> Identifiability:
     if options.log is not None:
-        raise InputError("Give a log or --plan, not both: a plan is what is not recorded yet.")
+        raise InputError("Give a log or --plan, not both: a plan is not recorded yet.")
     own = build(options.model).family.example if options.model and not options.plan else None
     campaign = read_campaign(options.plan) if options.plan else paper_campaign()
     name = Path(options.plan).name if options.plan else PAPER

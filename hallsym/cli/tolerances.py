@@ -44,7 +44,7 @@ campaign TOML <optional>        campaign over which errors count (default: the p
 --along COLUMN[=FROM:TO]        coordinate that moves: x_mm=0:30, or one that repeats, over a
     period: x_m
 --set NAME=VALUE <repeat>       value of a parameter of the machine, in SI or with a unit in the
-    name: --set gain_0_percent=1 (repeat); what decodes it has the nominal values
+    name: --set gain_0_percent=1 (repeat); the decoder keeps the nominal values
 --at COLUMN=VALUE <repeat>      where another coordinate rests: z_mm=4.2 (repeat)
 @model {DESIGNED}
 """

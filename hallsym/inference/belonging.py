@@ -117,9 +117,10 @@ class Belonging:
     def sentence(self) -> str:
         """Whether the log belongs, and what has changed where it does not."""
         if self.belongs:
+            worst = self.worst
             return (
-                f"The log belongs to the calibration: all {len(self.tests)} tests are inside their limits, "
-                f"the largest score is {self.worst.score:+.2f} of {self.worst.name}."
+                f"The log belongs to the calibration: no change of the sensor shows in {len(self.tests)} "
+                f"tests; the largest score is {worst.score:+.2f}, of {worst.name} (limit {worst.limit:.2f})."
             )
         return f"The log does not belong to the calibration: {'; '.join(map(self._said, self.beyond))}."
 

@@ -150,7 +150,7 @@ def verdict_on(
         return Verdict("no effect", "its whole range leaves no trace in these readings")
     if not estimated.determined[k]:
         lost = [d for d in practical.null if parameter.name in d.parameters]
-        cause = "by this recording" if practical.null else "by any recording"
+        cause = "from this recording" if practical.null else "from any recording"
         return Verdict("not determined", _instead(parameter.name, *lost, cause=cause))
     half = float(coverage_factor(estimated.degrees_of_freedom[k])) * estimated.std[k]
     share = 2 * half / parameter.width if np.isfinite(parameter.width) else 0.0
@@ -173,7 +173,7 @@ def strongest(correlation: np.ndarray, names: Sequence[str], k: int) -> tuple[tu
     return tuple((names[j], float(correlation[j])) for j in order)
 
 
-def _instead(name: str, *directions: NullDirection, cause: str = "by any recording") -> str:
+def _instead(name: str, *directions: NullDirection, cause: str = "from any recording") -> str:
     """Return the determined combinations of a parameter that is not determined, or its null direction."""
     wide = next((d for d in directions if d.is_wide), None)
     if wide is not None:

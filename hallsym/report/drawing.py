@@ -229,6 +229,10 @@ def svg(panel: p.Panel, width: float, *, fixed: bool = False) -> Markup:
         for patch in (figure.patch, ax.patch):
             patch.set_visible(False)
         _panel(ax, panel, PAGE_FONT)
+        longest = max((len(label.get_text()) for label in ax.get_yticklabels()), default=0)
+        more = LETTER * longest - 42 if panel.y.names is None else 0.0  # beyond the usual numbers
+        if more > 0:
+            ax.set_position(((left + more) / width, place[1], place[2] - more / width, place[3]))
         drawn = _Svg(width, height, {} if fixed else variables())
         figure.draw(drawn)
     box, says = f"0 0 {_px(width)} {_px(height)}", escape(printable(panel.says))

@@ -304,7 +304,7 @@ def contradictions(found) -> list[str]:
             wrong.append(f"{entry.name}: {word}, and in no direction")
         if "by this recording" in because and entry.name not in here:
             wrong.append(f"{entry.name}: {because}, and this recording loses nothing of it")
-        if "by any recording" in because and entry.name not in always:
+        if "from any recording" in because and entry.name not in always:
             wrong.append(f"{entry.name}: {because}, and structurally determined")
     return wrong
 

@@ -347,6 +347,14 @@ def test_numbers_of_an_axis_are_few_round_inside_and_rising(low, high, log):
     assert all(re.fullmatch(r"[0.]*[0-9]0*(\.0*)?|[0-9]e[-+]\d+|[0-9]+", f"{v:.10g}") for v in found)
 
 
+@pytest.mark.parametrize("largest", [1.0, -0.00899, -0.0000899, 123456.0])
+def test_the_title_beside_an_axis_is_inside_the_picture_whatever_its_numbers(largest):
+    panel = Panel(Axis(names=()), Axis("title", *sorted((largest, 0.999 * largest))), [])
+    at = re.search(r'<text x="([-\d.]+)"[^>]*>title<', svg(panel, 240.0))
+    assert at
+    assert float(at[1]) >= 10.0  # its letters are 11 px high and stand left of that
+
+
 # -- runs, worst first ---------------------------------------------------------------------------------
 
 

@@ -176,7 +176,8 @@ def _errors(d: Diagnosis) -> Table:
 
 def _errors_section(d: Diagnosis) -> Section:
     """Return how far the error falls, and its size on fitted and holdout runs and by harmonic."""
-    content: list[Block | str] = [*([shrinks_text(d)] if changed(d) and d.effects else []), _metric(d)]
+    content: list[Block | str] = [*([shrinks_text(d)] if changed(d) and d.effects else [])]
+    content += [_metric(d)] if len(d.gap_before.rmse) > 1 else []
     content += _sizes(d)
     for coordinate in dict.fromkeys(w.coordinate for w in d.waves):
         content += _waves(d, coordinate)

@@ -13,7 +13,7 @@ from hallsym.units import parameter_unit
 MOST_LISTED = 20
 """Devices to look at that are listed; all stand in the table that is saved, and in the page's file."""
 SPREAD = (
-    "parameter", "mean (1 sigma)", "spread (1 sigma)", "95 % of the spread", "1 sigma of one fit", "unit",
+    "parameter", "mean (1 sigma)", "spread (1 sigma)", "spread, 95 % interval", "1 sigma of one fit", "unit",
     "devices", "outlying",
 )  # fmt: skip
 

@@ -48,8 +48,8 @@ def self_fit_content(result: SelfFit) -> Content:
         motion = "" if w.motion is None else _size(result, w.motion, w.motion_std)
         rows.append([str(w.per_turn), number(w.per_turn / found.pairs), sensor, motion, READING[w.verdict]])
     rest = len(found.kept) - len([w for w in shown if w in found.kept])
-    head = ["wave per turn", "per period", "sensor", "motion", "verdict"]
-    waves = Table(head, rows, "amplitude of each wave [electrical deg]", wordy=(4,))
+    head = ["wave per turn", "per period", "sensor [electrical deg]", "motion", "verdict"]
+    waves = Table(head, rows, "amplitude of each wave, of sensor and motion", wordy=(4,))
     return Content(
         f"Table of {fit.model.name} without a reference",
         result.sentence,
@@ -122,7 +122,7 @@ def turns_content(found: TurnPlan) -> Content:
         answer = (
             f"{where} leave {'wave' if len(found.open) == 1 else 'waves'} {named} per turn open: n p is near "
             "a multiple of 360 deg for all of them. Only the motion tells these: a rotor that coasts at two "
-            "speeds, or one Hall more at another angle. Turning back does not."
+            "speeds, or one Hall more at another angle. A turn back does not."
         )
     weak = np.argsort(found.seen)[:6]
     rows = [[str(n + 1), "open" if n + 1 in found.open else f"{1 / found.seen[n]:.1f}"] for n in sorted(weak)]

@@ -21,7 +21,6 @@ from hallsym.units import parameter_unit
 
 COLOURS = "The fuller the colour the larger the error; a dash marks a negative one; no cell: no samples."
 BANDS = "Line: mean; band: plus and minus the rms."
-OVER = BANDS + " Orange: before; blue, drawn over it: after."
 VALUES = (
     "Values with the standard uncertainty in parentheses, on the last two digits; a value in parentheses is "
     "not identifiable."
@@ -152,7 +151,7 @@ def _profiles(
     pairs: Sequence[tuple[Cells, Cells | None]], floor: Mapping[str, float], both: bool
 ) -> list[Any]:
     lines = [(m, a) for m, a in pairs if not m.labels]
-    how = (OVER if both else BANDS) + (" Dashed: noise floor." if floor else "")
+    how = _how(("before", "after") if both else (), floor)
     content: list[Any] = [Note(f"Along one coordinate. {how}")] if lines else []
     for m, a in lines:
         content.append(Figure(_charts(m, a, floor), f"over {m.by}"))
@@ -173,9 +172,8 @@ def first_view(
     """Return the error over the time of the worst run and over a coordinate, before and, if known, after."""
     blocks: list[Block] = []
     if series:
-        lines = list(series[0].lines)
-        versions = f"; orange: {lines[0]}; blue, drawn over it: {lines[-1]}" if len(lines) > 1 else ""
-        blocks.append(Figure(over_time(series[0], every=True), f"Over time, {series[0].title}{versions}"))
+        said = f"Over time, {series[0].title}. {_colours([*series[0].lines])}"
+        blocks.append(Figure(over_time(series[0], every=True), said.rstrip()))
     later = dict(enumerate(after))
     along = [(b, later.get(k)) for k, b in enumerate(before) if not (b.up or b.labels)]
     if along:
@@ -183,9 +181,20 @@ def first_view(
         for k, output in enumerate(along[0][0].pose):
             b, a = max(along, key=lambda pair: _follows(pair[0], k))
             charts += profiles(b, k, floor.get(output) or 0.0, a)
-        how = (OVER if after else BANDS) + (" Dashed: noise floor." if floor else "")
+        versions = [*series[0].lines] if series else ["before", "after"]
+        how = _how(versions if after else (), floor)
         blocks.append(Figure(charts, f"Over the coordinate that each error follows most. {how}"))
     return blocks
+
+
+def _colours(versions: Sequence[str]) -> str:
+    """Return which colour is which of two versions of the model; nothing of one alone."""
+    return f"Orange: {versions[0]}; blue, drawn over it: {versions[-1]}." if len(versions) > 1 else ""
+
+
+def _how(versions: Sequence[str], floor: Mapping[str, float]) -> str:
+    """Return how errors by cell are drawn."""
+    return " ".join(filter(None, (BANDS, _colours(versions), "Dashed: noise floor." if floor else "")))
 
 
 def _follows(cells: Cells, output: int) -> float:
@@ -200,7 +209,8 @@ def runs_section(found: Sequence[RunSeries]) -> Section:
     if not found:
         return Section("series", "Decoded minus reference over time", [])
     first, data = found[0], script_data(found)
-    key = "; orange: " + "; blue, drawn over it: ".join(first.lines) if len(first.lines) > 1 else ""
+    colours = _colours([*first.lines])
+    key = f". {colours}" if colours else ""
     shown = Runs(first.title, data["runs"][0]["note"], over_time(first), key, data)
     return Section("series", "Decoded minus reference over time", [shown])
 
@@ -256,10 +266,9 @@ def _remark(fit: Fit, k: int) -> str:
 
 
 def origin_section(log: LogRecord, found: Mapping[str, Any], command: str) -> Section:
-    """Return where the page comes from: command, log, its hash, versions."""
+    """Return where the page comes from: command, hash of the log, versions."""
     pairs = [
         ("command", command),
-        ("log", log.path or "a log in memory"),
         ("sha256 of the log", log.sha256),
         ("versions", ", ".join(f"{part} {version}" for part, version in found.items())),
     ]
