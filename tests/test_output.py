@@ -48,11 +48,6 @@ def test_a_password_is_nowhere():
     assert printable("a@b, C:/x@y/log.csv") == "a@b, C:/x@y/log.csv"
 
 
-def test_a_password_is_not_repeated_by_a_command(capsys):
-    assert main(["fit", SECRET]) == 2
-    assert "secret" not in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("number", [float("nan"), float("-inf")])
 def test_a_number_that_is_not_finite_is_refused_by_name(tmp_path, number):
     with pytest.raises(InputError, match=r"'errors.x_m.1' .* must be finite; it is (nan|-inf)"):

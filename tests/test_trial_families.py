@@ -69,6 +69,7 @@ def test_a_record_is_whole(family):
         for coordinate, reference in zip(model.pose, model.references, strict=True):
             assert model.period.get(coordinate) == model.period.get(reference)
         assert np.all(family.pose_metric.weights(model.pose) == family.pose_metric.weights(model.references))
+        assert model.zero_scale(model.nominal, np.zeros(len(model.state))).shape == (len(model.offsets),)
 
 
 @each_family
@@ -83,13 +84,6 @@ def test_a_model_decodes_what_it_reads(family):
             weight = np.ones(len(model.channels))
             found = np.asarray(model.decoded(model.nominal, zeros, reading, state, weight)).ravel()
             assert np.abs(near(model, found, pose) - pose).max() < 1e-9
-
-
-@each_family
-def test_zero_deviations_are_as_many_as_their_scale(family):
-    for make in family.models:
-        model = make()
-        assert model.zero_scale(model.nominal, np.zeros(len(model.state))).shape == (len(model.offsets),)
 
 
 # -- every verb --------------------------------------------------------------------------------------------
@@ -162,15 +156,6 @@ def test_the_waves_of_an_error_over_x_are_counted():
     assert found.where[0].by == "place in the period of x"
     assert found.where[0].share > 0.7
     assert "waves per period of x [um]" in summary(found)
-
-
-def test_pictures_of_a_fit_are_drawn(tmp_path):
-    from hallsym.report.drawing import save
-    from hallsym.report.figures.campaign import fit_figure
-
-    log, fit = fitted(ARRAY)
-    written = save({"errors": lambda: fit_figure(log, fit)}, tmp_path)
-    assert all(path.stat().st_size > 1000 for path in written)
 
 
 def test_what_to_record_is_planned():

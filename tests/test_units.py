@@ -27,7 +27,9 @@ def test_a_column_is_read_in_its_unit_and_an_angle_by_whether_it_goes_round(colu
 
 
 def test_a_picture_stays_near_the_unit_of_the_tables():
-    assert [scaled("x_m", v)[1] for v in (1e-8, 1e-6, 1e-3, 0.1, 10.0)] == ["nm", "um", "um", "mm", "m"]
+    lengths = {15e-9: "nm", 300e-6: "um", 0.0019: "um", 0.0195: "mm", 2.0: "m", math.nan: "um"}
+    assert [scaled("x_m", v)[1] for v in lengths] == [*lengths.values()]
+    assert (scaled("rz_rad", 0.1), scaled("temperature_degc", 60.0)) == ((1e3, "mrad"), (1.0, "degC"))
     assert [scaled("a_rad", v, {"a_rad": 6.28})[1] for v in (1e-4, 0.1, 100.0)] == ["mdeg", "deg", "deg"]
     assert [scaled("v_cos_v", v)[1] for v in (1e-6, 0.1, 1.0)] == ["mV", "mV", "V"]
 

@@ -2,7 +2,7 @@
 
 The table belongs to its ring; heads and drive are those of the jig. Mixed effects in two passes: each ring by
 itself, then the common values from all of them (medians, means that stand out of their scatter), then each
-ring again with these held fixed.
+ring again with these fixed.
 """
 
 from collections import Counter
@@ -132,7 +132,7 @@ def ring_fleet(
     workers: int | None = None,
     on_progress: Callable[[str], None] | None = None,
 ) -> RingFleet:
-    """Calibrate rings that one jig turned, without a reference; `logs`: name -> log.
+    """Calibrate rings of one jig without a reference; `logs`: name -> log.
 
     In two passes over all rings: each by itself, then with the places of the heads and the ripple of the
     drive that they have in common. A ring that does not turn, whose Hall is dead, or whose last turn is not

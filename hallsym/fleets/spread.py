@@ -11,7 +11,7 @@ estimates themselves is larger, by their uncertainty.
 
 A device is outlying where it lies further from the others than a further device of theirs would, with a
 chance of 1 % for the whole fleet: Student's t for a mean and a tau that are those of the others. What is
-outlying to begin with is told by medians, so that several such devices do not hide each other.
+outlying to begin with is decided by medians, so that several such devices do not hide each other.
 """
 
 from collections.abc import Callable, Sequence

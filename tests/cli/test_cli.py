@@ -34,15 +34,6 @@ def written(columns, tmp_path):
 # -- logs that cannot be used ----------------------------------------------------------------------------
 
 
-def test_another_delimiter_is_recognised_and_a_wrong_one_refused(run, refused, written, tmp_path):
-    path = written(name="log.csv")
-    path.write_text(path.read_text().replace(",", ";"))
-    code, out, _ = run("fit", path, "--solver", "direct")
-    assert code == 0
-    assert "columns separated by semicolons" in out
-    assert "leave --delimiter out" in refused("fit", path, "--delimiter", ",")
-
-
 @pytest.mark.slow
 def test_info_shows_the_first_rows_and_suggests_a_column_file(run, written, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -219,19 +219,6 @@ def test_a_log_without_time_counts_samples(log: Log):
     assert '"unit":"samples"' in text
 
 
-def test_what_lacks_a_column_is_refused(tmp_path, fitted: Fit, capsys):
-    fitted.save(tmp_path / "calib.json")
-    columns = record(seed=1, samples=20)
-    del columns["hall_b_m"]
-    write_log(columns, tmp_path / "log.csv")
-    code = main(
-        ["report", str(tmp_path / "calib.json"), str(tmp_path / "log.csv"), "-o", str(tmp_path / "p.html")]
-    )
-    assert code == 2
-    assert "hall_b_m" in capsys.readouterr().err
-    assert not (tmp_path / "p.html").exists()
-
-
 # -- what is gathered ------------------------------------------------------------------------------------
 
 

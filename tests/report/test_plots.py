@@ -20,7 +20,7 @@ from hallsym.report.data.gather import diagnosed
 from hallsym.report.data.survey import COLUMNS, Survey, Trace, held_out, look_over, settings
 from hallsym.report.drawing import DPI, WIDTH, draw, save
 from hallsym.report.figures import campaign as plots
-from hallsym.report.words import name, scale
+from hallsym.report.words import name
 from hallsym.simulation import Campaign, NoiseModel, Run, simulate, sine
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -230,28 +230,6 @@ def test_settings_are_labelled_by_what_the_stage_does(fitted: Fit, survey: Surve
 
 
 # -- words -----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("column", "largest", "factor", "unit"),
-    [
-        ("x_ref_m", 300e-6, 1e6, "µm"),
-        ("x_m", 15e-9, 1e9, "nm"),
-        ("x_m", 0.0019, 1e6, "µm"),
-        ("x_m", 0.0195, 1e3, "mm"),
-        ("x_m", 2.0, 1.0, "m"),
-        ("angle_ref_rad", 6.28, 180 / np.pi, "deg"),
-        ("angle_rad", 1e-3, 180e3 / np.pi, "mdeg"),
-        ("rz_rad", 0.1, 1e3, "mrad"),
-        ("v_sin_v", 1e-3, 1e3, "mV"),
-        ("v_sin_v", 2.5, 1.0, "V"),
-        ("temperature_degc", 60.0, 1.0, "°C"),
-        ("x_m", float("nan"), 1e6, "µm"),
-    ],
-)
-def test_units_suit_the_size(column: str, largest: float, factor: float, unit: str) -> None:
-    found, shown = scale(column, largest)
-    assert (found, shown) == (pytest.approx(factor), unit)
 
 
 def test_names_are_what_people_say() -> None:
