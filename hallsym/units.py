@@ -216,13 +216,20 @@ def fitting(si: str, largest: float, *, turns: bool = False) -> tuple[float, str
 
 
 def parameter_unit(si: str, *, bare: bool = False) -> tuple[float, str]:
-    """Return factor and unit in which a parameter is shown: angles in degrees, lengths in mm, others in SI.
+    """Return factor and unit in which a parameter is shown: those of `_PARAMETERS`, others in SI.
 
     `bare`: nothing stands for the unit of a plain number, else "1".
     """
     if bare and si == "1":
         return 1.0, ""
-    return {"rad": (1 / _DEGREE, "deg"), "m": (1e3, "mm")}.get(si, (1.0, si))
+    return _PARAMETERS.get(si, (1.0, si))
+
+
+_PARAMETERS = {
+    "rad": (1 / _DEGREE, "deg"), "m": (1e3, "mm"), "s": (1e3, "ms"), "m/s": (1e6, "um/s"),
+    "m s2/m": (1e6, "um per m/s2"),
+}  # fmt: skip
+"""Factor and unit of parameters for reading, by their SI unit."""
 
 
 def typeset(unit: str) -> str:

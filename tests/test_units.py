@@ -44,6 +44,7 @@ def test_a_budget_takes_the_smallest_unit_that_stays_below_a_thousand():
 def test_words_of_units():
     assert parameter_unit("rad")[1] == "deg"
     assert parameter_unit("m") == parameter_unit("m", bare=True) == (1e3, "mm")
+    assert parameter_unit("s") == (1e3, "ms")
     assert (parameter_unit("1")[1], parameter_unit("1", bare=True)[1]) == ("1", "")
     assert [typeset(u) for u in ("um", "urad", "degC", "rpm")] == ["µm", "µrad", "°C", "rpm"]
     assert [si_unit(c) for c in ("hall_a_m", "speed_rad_s", "hall_a")] == ["m", "rad_s", ""]

@@ -20,8 +20,8 @@ def minus(text: str) -> str:
 
 
 def micro(text: str) -> str:
-    """Return words with the micro sign in units: `2 um`, `x [urad]`."""
-    return re.sub(r"(\d |\[)u(?=(m|rad|V)\b)", r"\1µ", text)
+    """Return words with the micro sign in units, `2 um`, `x [urad]`, and plus or minus as one sign."""
+    return re.sub(r"(\d |\[)u(?=(m|rad|V)\b)", r"\1µ", text).replace("+-", "\N{PLUS-MINUS SIGN}")
 
 
 def name(column: str) -> str:

@@ -27,8 +27,6 @@ FEW_UNITS = 8
 """Units of a test by signs below which the least possible p-value is stated: 2 / 2^8 is 0.008."""
 LEAST_P = 1e-6
 """P-values below this are printed as below it: no test is better than its assumptions."""
-UNITS = {"s": (1e3, "ms"), "m/s": (1e6, "um/s"), "1": (1.0, ""), "m s2/m": (1e6, "um per m/s2")}
-"""Factor and unit of parameters that are not shown as `parameter_unit` has it."""
 STATES = {"no gap": "good", "explained": "good"}
 """Verdicts that close the diagnosis; every other one is open."""
 MOST = 12
@@ -255,7 +253,7 @@ def shrinkage_text(value: float, interval: tuple[float, float] | None) -> str:
 
 def _estimate(p: Estimate) -> tuple[str, str]:
     """Return value with 1 sigma, and unit."""
-    factor, unit = UNITS.get(p.unit) or parameter_unit(p.unit)
+    factor, unit = parameter_unit(p.unit, bare=True)
     return concise(p.value * factor, None if p.std is None else p.std * factor), unit
 
 

@@ -11,8 +11,6 @@ from hallsym.report.words import number
 from hallsym.units import parameter_unit
 
 SHORT = {"found": "yes", "group": "group", "listed": "second", "other": "wrong", "refused": "refused"}
-READ = {"s": (1e3, "ms"), "V": (1e3, "mV")}
-"""Factor and unit of parameters that are not shown as `parameter_unit` has it."""
 
 
 def power_content(s: DetectionPower) -> Content:
@@ -76,8 +74,8 @@ def size_text(e: Findable) -> str:
             largest[unit] = (name, value)
     said = []
     for unit, (name, value) in largest.items():
-        factor, shown = READ.get(unit) or parameter_unit(unit)
-        said.append(f"{name} {number(factor * value)}" + (f" {shown}" if shown != "1" else ""))
+        factor, shown = parameter_unit(unit, bare=True)
+        said.append(f"{name} {number(factor * value)} {shown}".rstrip())
     return ", ".join(said)
 
 

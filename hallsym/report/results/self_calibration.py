@@ -48,8 +48,8 @@ def self_fit_content(result: SelfFit) -> Content:
         motion = "" if w.motion is None else _size(result, w.motion, w.motion_std)
         rows.append([str(w.per_turn), number(w.per_turn / found.pairs), sensor, motion, READING[w.verdict]])
     rest = len(found.kept) - len([w for w in shown if w in found.kept])
-    head = ["wave per turn", "per period", "sensor [electrical deg]", "motion", "verdict"]
-    waves = Table(head, rows, "amplitude of each wave, of sensor and motion", wordy=(4,))
+    head = ["wave per turn", "per period", "sensor [el. deg]", "motion [el. deg]", "verdict"]
+    waves = Table(head, rows, "amplitude of each wave in electrical degrees", wordy=(4,))
     return Content(
         f"Table of {fit.model.name} without a reference",
         result.sentence,
