@@ -139,7 +139,7 @@ def _input(d: Diagnosis) -> Items:
         ("worth reporting", f"a decrease of {100 * d.threshold:g} % or more"),
         # with the least possible p-value where units are few
         (
-            "any effect of the catalogue",
+            "test over all effects",
             f"p {significance_text(d.significance, piece_of(d))}" if d.significance else None,
         ),
     ]

@@ -24,8 +24,8 @@ def periodic(found: PeriodicError, family: Family) -> list[Block | str]:
             f"with this calibration rms {number(factor * hypot(found.calibrated.rms, rest))} {unit}, "
             f"of which {number(factor * rest)} {unit} do not repeat (noise)"
         ]
-    head = [f"error of the {noun}, by remedy"]
-    head += [f"{what} [{unit}]" for what in ("rms", "bought", "repeating, peak")]
+    head = [f"error of the {noun} about its mean, by remedy"]
+    head += [f"{what} [{unit}]" for what in ("rms", "lower by", "repeating, peak")]
     rows = []
     remedies = [("nothing done", found.machine, found.rest)]
     if found.mount_orders:
@@ -38,8 +38,8 @@ def periodic(found: PeriodicError, family: Family) -> list[Block | str]:
     before = hypot(found.machine.rms, found.rest)
     for label, size, rest in remedies:
         left = hypot(size.rms, rest)
-        bought = "" if size is found.machine else number(factor * (before - left), 2)
-        rows.append([label, number(factor * left), bought, number(factor * size.peak)])
+        lower = "" if size is found.machine else number(factor * (before - left), 2)
+        rows.append([label, number(factor * left), lower, number(factor * size.peak)])
     return [Table(head, rows, "what each remedy would leave"), *_sentences(found, noun, factor, unit, over)]
 
 
