@@ -158,6 +158,15 @@ def test_the_waves_of_an_error_over_x_are_counted():
     assert "waves per period of x [um]" in summary(found)
 
 
+def test_pictures_of_a_fit_are_drawn(tmp_path):
+    from hallsym.report.drawing import save
+    from hallsym.report.figures.campaign import fit_figure
+
+    log, fit = fitted(ARRAY)
+    written = save({"errors": lambda: fit_figure(log, fit)}, tmp_path)
+    assert all(path.stat().st_size > 1000 for path in written)
+
+
 def test_what_to_record_is_planned():
     _, fit = fitted(ARRAY)
     ranges = hallsym.Ranges(

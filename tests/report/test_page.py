@@ -354,3 +354,16 @@ def test_runs_are_offered_worst_first(log: Log, fitted: Fit):
     size = dict(zip(survey.runs, (rms / floor).max(axis=1), strict=True))
     assert [size[run] for run in order] == sorted(size.values(), reverse=True)
     assert worst_first(survey, {}, 2) == worst_first(survey, {}, 60)[:2]
+
+
+def test_what_lacks_a_column_is_refused(tmp_path, fitted: Fit, capsys):
+    fitted.save(tmp_path / "calib.json")
+    columns = record(seed=1, samples=20)
+    del columns["hall_b_m"]
+    write_log(columns, tmp_path / "log.csv")
+    code = main(
+        ["report", str(tmp_path / "calib.json"), str(tmp_path / "log.csv"), "-o", str(tmp_path / "p.html")]
+    )
+    assert code == 2
+    assert "hall_b_m" in capsys.readouterr().err
+    assert not (tmp_path / "p.html").exists()
