@@ -864,8 +864,16 @@ def _divisions(trials: Trials, base: Tried) -> dict[tuple[int, ...], Tried]:
     for some in _agreeing(trials, base):
         agreed = trials.fitted((), some)
         rest = agreed and trials.at((), agreed.p, [r for r in base.left if r not in some])
-        if agreed and rest and (odd := tuple(r for r, left in rest.left.items() if left > EXCESS)):
-            out.setdefault(odd, agreed)
+        if not agreed or not rest:
+            continue
+        odd = [r for r, left in rest.left.items() if left > EXCESS]
+        # of parameters that are not known exactly a run may show more than when it is fitted with the others
+        with_near = [*agreed.left, *(r for r in odd if rest.left[r] < ALONE)]
+        again = trials.fitted((), sorted(with_near)) if len(with_near) > len(agreed.left) else None
+        if again and max(again.left.values(), default=np.inf) < EXCESS:
+            agreed, odd = again, [r for r in odd if r not in again.left]
+        if odd:
+            out.setdefault(tuple(odd), agreed)
     return out
 
 
@@ -1185,8 +1193,11 @@ def _in_runs(trials: Trials, base: Tried, odd: Sequence[int]) -> list[Found]:
             elif (lost := lost + over.get(r, 0.0)) > may_stay:
                 break
         out = _fewest(trials, out)
-    if sum(over.get(r, 0.0) for r in left) > may_stay:
-        out = _other_device(trials, now, odd, max(base.mean(base.left), 1.0)) or out
+    floor = max(base.mean(base.left), 1.0)
+    after = trials.at([one.correction for one in out], p, odd)
+    stays = sum(now.counts[r] * max(n - 1, 0.0) for r, n in after.left.items()) if after else np.inf
+    if not after or stays > may_stay or max(after.left.values(), default=np.inf) > ALONE * floor:
+        out = _other_device(trials, now, odd, floor) or out
     return out
 
 
