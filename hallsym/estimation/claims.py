@@ -816,7 +816,21 @@ def _of_some_runs(trials: Trials, base: Tried) -> list[Found]:
         after = trials.fitted([one.correction for one in some]) if some else None
         if after is not None and after.left and _explains(base, after, least):
             explained.append((len(some), after.mean(after.deviance), some))
-    return min(explained, key=lambda one: one[:2], default=(0, 0.0, []))[2]
+    found = min(explained, key=lambda one: one[:2], default=(0, 0.0, []))[2]
+    return [_among(divided, one) if one.correction.kind == "other_device" else one for one in found]
+
+
+def _among(divided: Mapping[tuple[int, ...], Tried], found: Found) -> Found:
+    """Return another device with its rivals: as many runs or fewer, without which the others agree as well."""
+    own = found.correction.runs
+    rivals = tuple(
+        found.correction.in_runs(odd)
+        for odd, agreed in divided.items()
+        if odd != own and len(odd) <= len(own)
+        and agreed.mean(agreed.left) - divided[own].mean(divided[own].left)
+        < _close(agreed, [*agreed.left], agreed.mean(agreed.left))
+    )  # fmt: skip
+    return replace(found, rivals=rivals, single=not rivals)
 
 
 def _excess(tried: Tried, floor: float) -> float:
