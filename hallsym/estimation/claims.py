@@ -821,7 +821,7 @@ def _of_some_runs(trials: Trials, base: Tried) -> list[Found]:
 
 
 def _among(divided: Mapping[tuple[int, ...], Tried], found: Found) -> Found:
-    """Return another device with its rivals: as many runs or fewer, without which the others agree as well."""
+    """Return another device with its rivals: no more runs, without which the others agree as well."""
     own = found.correction.runs
     rivals = tuple(
         found.correction.in_runs(odd)

@@ -262,3 +262,16 @@ def test_steps_where_sensors_change_are_no_harmonic():
     assert error.peak.min() > 1e-4
     found = hallsym.diagnose(swept(wide, {"edges": 1.0}, (4.2e-3,)), model, holdout=[1])
     assert found.ranked == ("array_edges",)
+
+
+@pytest.mark.parametrize(("unit", "by"), [("mm", 1e3), ("um", 1e6)])
+def test_gaps_in_another_unit_are_named(unit, by):
+    """Ends are stated, and the field at the logged gaps is beyond numbers: the fit names the unit of z."""
+    layout = columns([-0.01, 0.0, 0.01], length_m=0.15, width_m=0.06, ends=True)
+    rng = np.random.default_rng(1)
+    t = np.linspace(0, 1, 200)
+    x, z = 0.02 * np.sin(9 * t), 6e-3 + 1e-3 * np.cos(7 * t)
+    v = read(halbach(layout), {"a1": 1.0}, x, z) + 1e-3 * rng.standard_normal((3, 200))
+    arrays = {"t_s": t, "x_ref_m": x, "z_ref_m": by * z, **{f"col_{k}_v": v[k] for k in range(3)}}
+    log = Log.from_arrays(arrays, meta=Meta(base_model="halbach", probes=[part.entry for part in layout]))
+    assert hallsym.fit(log, "halbach").claims[0].correction == f"scale z_ref_m {unit}"

@@ -116,10 +116,11 @@ def _left_out(model: Model, known: dict[str, Array], pose: np.ndarray, planar: b
         else:
             u, gap = sensor.middle[0] - pose[0], pose[1]
         taken = np.hypot(*ends[array.name]([u], [gap]))
-        share = float((taken * np.exp(array.wavenumber * (gap - array.level_m)))[0].max())
+        with np.errstate(over="ignore"):  # a gap in another unit is for the fit to tell
+            share = float((taken * np.exp(array.wavenumber * (gap - array.level_m)))[0].max())
         if share > largest:
             largest, where = share, array
-    if largest > LEFT_OUT:
+    if LEFT_OUT < largest < np.inf:
         yield (
             f"The ends of array {where.name} ({1e3 * where.length_m:g} mm long) change readings by up to "
             f"{100 * largest:.2g} % of the field, which the model leaves out: gains and offsets may be off "

@@ -138,6 +138,15 @@ def harmonics(
     return wave.real, wave.imag
 
 
+def beyond(array: Array) -> bool:
+    """Return whether the gaps of a log are beyond numbers: its highest harmonic under- or overflows there.
+
+    No sensor reads a field of 1e-23 of that at the level; such a gap is in another unit.
+    """
+    gaps = np.abs(array.box(len(array.known_m or range(4)) // 2 - 1)[-1])
+    return bool(max(IDEAL) * array.wavenumber * gaps.max() > np.log(np.finfo(float).max))
+
+
 LONG = 24
 """Wavelengths of an array in whose middle its ends are not seen."""
 SIDES_DEGREE = 5

@@ -368,6 +368,8 @@ def _settled(layout: Layout, meta: Meta) -> Layout:
     if len(log):
         stated = any("middle_magnet" in entry for entry in meta.raw.get("arrays", ()))
         array = replace(array, known_m=travel(array.wavelength_m, log[:2]))
+        if finite.beyond(array):
+            return (*sensors(layout), array.stated)
         array = _middle((*sensors(layout), array), log, (array.middle_magnet,) if stated else None)
     layout = (*sensors(layout), array)
     return layout if finite.along(layout) else (*sensors(layout), array.stated)

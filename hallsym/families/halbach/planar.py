@@ -459,7 +459,8 @@ def _settled(layout: Layout, meta: Meta) -> Layout:
         at[2] *= -1
         known = {n: replace(a, known_m=travel(a.wavelength_m, at)) for n, a in known.items()}
     layout = (*seen, *known.values())
-    return layout if finite.under(layout) else (*seen, *(a.stated for a in known.values()))
+    felt = not any(map(finite.beyond, known.values()))
+    return layout if felt and finite.under(layout) else (*seen, *(a.stated for a in known.values()))
 
 
 def _amplitude(array: Array, nominal: Mapping[str, float]) -> float:
