@@ -135,10 +135,20 @@ def test_magnets_add_up_to_the_array(gap):
     assert np.abs(more - 1.3 * plain).max() < 0.025 * 0.3 * np.abs(plain).max()
 
 
-def test_a_shift_of_all_sensors_is_a_shift_of_x():
+@pytest.mark.parametrize("ends", [False, True])
+def test_a_shift_of_all_sensors_is_a_shift_of_x(ends):
+    """Of an array with ends it is one of the phase, which says where its magnets are: exactly."""
     x, z = np.linspace(-0.02, 0.02, 9), np.full(9, 4.5e-3)
-    near, far = (halbach(columns([s + d for s in (-0.01, 0, 0.01)])) for d in (0.0, 2e-3))
+    about = {"ends": ends, "length_m": 0.15, "width_m": 0.06}
+    near, far = (halbach(columns([s + d for s in (-0.01, 0, 0.01)], **about)) for d in (0.0, 2e-3))
     own = {"a1": 0.5, "b1": 0.2, "a5": -1e-3}
+    if ends:
+        waves = {h: complex(own[f"a{h}"], own.get(f"b{h}", 0.0)) * np.exp(-2e-3j * h / LC) for h in (1, 5)}
+        turned = {f"{n}{h}": w for h, u in waves.items() for n, w in (("a", u.real), ("b", u.imag))}
+        by = dict.fromkeys(("dx_0", "dx_1", "dx_2"), 2e-3)
+        moved = read(mechanics.sensor_position_error(near), turned | by, x, z)
+        assert np.allclose(moved, read(near, own, x, z), atol=1e-13)
+        return
     assert np.allclose(read(near, own, x, z), read(far, own, x + 2e-3, z), atol=1e-13)
     moved = mechanics.sensor_position_error(near)
     by = {f"dx_{k}": 2e-3 for k in range(3)}

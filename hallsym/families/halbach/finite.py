@@ -16,8 +16,22 @@ import numpy as np
 
 from hallsym.families.halbach.layout import Array, Layout, Sensor, arrays, opposite, sensors
 
-HARMONICS = (1, 5, 9)
-"""Of the endless array, which its magnets less its ends make; the next is 5e-5 of the first at 3 mm."""
+FITTED = (1, 5)
+"""Harmonics whose amplitudes are parameters: what magnets are not ideal by shows in the fifth first."""
+
+
+def orders(array: Array) -> tuple[int, ...]:
+    """Return the harmonics of an endless array; of four magnets a period the next is 1e-6 of the first."""
+    return tuple(1 + m * array.magnets_per_period for m in range(4))
+
+
+def given(array: Array) -> tuple[int, ...]:
+    """Return the harmonics that a model has in proportion to the first, as cuboid magnets make them.
+
+    None where the layout does not state how large the array is. The last of `orders`, 5e-5 of the first at a
+    tenth of a wavelength, is left out: decoding with it has no solution at some places below that.
+    """
+    return tuple(h for h in orders(array)[:-1] if h not in FITTED) if array.ends else ()
 
 
 def magnets_of(array: Array) -> tuple[np.ndarray, np.ndarray]:
@@ -80,7 +94,7 @@ def single_magnets(
 def endless(array: Array, u: ca.SX, gap: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return the same as `finite` of the endless array: its harmonics."""
     q = array.wavenumber
-    terms = [(strength(array, h) * ca.exp(-h * q * (gap - array.level_m)), h * q * u) for h in HARMONICS]
+    terms = [(strength(array, h) * ca.exp(-h * q * (gap - array.level_m)), h * q * u) for h in orders(array)]
     cos, sin = (sum((a * f(t) for a, t in terms), ca.SX(0)) for f in (ca.cos, ca.sin))
     return cos, -sin
 
@@ -122,17 +136,12 @@ def cuboids(
     return -size * (along @ logarithm + up @ below), -size * (up @ logarithm + along @ beside)
 
 
-IDEAL = (1, 5, 9, 13)
-"""Harmonics of four magnets a period down to 1e-5 of the first at 3 mm."""
-
-
-def harmonics(
-    array: Array, u: np.ndarray, gap: np.ndarray, orders: Sequence[int] = IDEAL
-) -> tuple[np.ndarray, np.ndarray]:
+def harmonics(array: Array, u: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the same of the endless array, without sides: its harmonics."""
     q, shift = array.wavenumber, array.middle_magnet * pi / array.magnets_per_period
     terms = [
-        (strength(array, h) * np.exp(-h * q * (gap - array.level_m)), h * (q * u + shift)) for h in orders
+        (strength(array, h) * np.exp(-h * q * (gap - array.level_m)), h * (q * u + shift))
+        for h in orders(array)
     ]
     wave = np.sum([a * np.exp(-1j * t) for a, t in terms], axis=0)
     return wave.real, wave.imag

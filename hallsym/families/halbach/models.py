@@ -6,7 +6,8 @@ k = 2 pi / wavelength; channel j at x_j reads
 
     v_j = sum over h = 1, 5: exp(-h k (z - level)) (a_h cos h k (x - x_j) + b_h sin h k (x - x_j)).
 
-Amplitudes in V at the gap `level` (5 mm). Valid where the array reaches a period beyond the sensors; effects
+Amplitudes in V at the gap `level` (5 mm). An array of stated length and width adds its ends and sides, and
+the higher harmonics of cuboid magnets. Valid where the array reaches a period beyond the sensors; effects
 add gains, offsets, places, tilts, other harmonics, magnets that differ, and edges.
 """
 
@@ -40,8 +41,6 @@ FAMILY = Family("halbach")
 """Of this model; the package puts the whole record here."""
 POSE, REFERENCES = ("x_m", "z_m"), ("x_ref_m", "z_ref_m")
 WAVELENGTH_M = 0.03
-HARMONICS = (1, 5)
-"""Of four magnets per period: 1, 5, 9, ... The ninth is 9e-4 of the first at a gap of 3 mm, 3e-5 at 5 mm."""
 FAR = 100.0
 """Largest amplitude [V]."""
 BETWEEN = "ends_between"
@@ -62,7 +61,7 @@ def halbach(layout: Layout | None = None) -> Model:
         check_channel(sensor, array)
     parameters = [
         Parameter(f"{part}{h}", 0.6 if (part, h) == ("a", 1) else 0.0, -FAR, FAR, "V", meaning.format(h=h))
-        for h in HARMONICS
+        for h in finite.FITTED
         for part, meaning in {
             "a": "amplitude of cos({h} k x) at the level of the array",
             "b": "amplitude of sin({h} k x) at the level of the array",
@@ -128,17 +127,19 @@ def array_of(layout: Layout) -> Array:
 
 
 def field(s: Signals, p: Mapping[str, ca.SX], layout: Layout) -> None:
-    """Set the field at each channel: harmonics 1 and 5, with the tilt of each sensor's axis."""
+    """Set the field at each channel: its harmonics, with the tilt of each sensor's axis."""
     s["waves"] = {}
     s.functions["seen"] = lambda s, k: seen_by(s, layout, k)
     s.functions["harmonic"] = lambda s, k, h, a, b: harmonic(s, layout, k, h, a, b)
     s["amplitude"] = ca.sqrt(p["a1"] ** 2 + p["b1"] ** 2)
     s["crest"] = -ca.atan2(p["b1"], p["a1"]) / array_of(layout).wavenumber
+    waves = {h: (p[f"a{h}"], p[f"b{h}"]) for h in finite.FITTED}
+    phase = ca.atan2(p["b1"], p["a1"])
+    for h in finite.given(array_of(layout)):
+        size = s["amplitude"] * finite.strength(array_of(layout), h)
+        waves[h] = size * ca.cos(h * phase), size * ca.sin(h * phase)
     s["field"] = ca.vertcat(
-        *(
-            sum(harmonic(s, layout, k, h, p[f"a{h}"], p[f"b{h}"]) for h in HARMONICS)
-            for k in range(len(s["moved"]))
-        )
+        *(sum(harmonic(s, layout, k, h, a, b) for h, (a, b) in waves.items()) for k in range(len(s["moved"])))
     )
     if array_of(layout).ends:
         s["ends"] = ends(s, p, layout)
@@ -150,8 +151,9 @@ def field(s: Signals, p: Mapping[str, ca.SX], layout: Layout) -> None:
 def ends(s: Signals, p: Mapping[str, ca.SX], layout: Layout) -> ca.SX:
     """Return what the ends of the array take at each channel.
 
-    Its magnets are where the phase of the first harmonic says: its middle is `shift` off the nominal one.
-    What moves or places sensors otherwise counts to first order: ends are a percent, and smooth.
+    Its magnets are where the phase of the first harmonic says: its middle is `shift` off the nominal one, so
+    that a shift of all sensors stays a shift of x. What moves sensors otherwise counts to first order: ends
+    are a percent, and smooth.
     """
     array, turn = array_of(layout), s["turn"]
     aim = array.middle_magnet * np.pi / array.magnets_per_period - array.wavenumber * array.middle
@@ -163,10 +165,11 @@ def ends(s: Signals, p: Mapping[str, ca.SX], layout: Layout) -> ca.SX:
         slope, seen = s["tilted"][k][0], taken.up((x, z))
         if not slope.is_zero():
             seen = seen * ca.cos(slope) + turn * taken.along((x, z)) * ca.sin(slope)
-        by = [s["moved"][k][c] - s["placed"][k][i] for c, i in (("x_m", 0), ("z_m", 2))]
+        by = [s["moved"][k][c] for c in ("x_m", "z_m")]
+        dx, _, dz = s["placed"][k]
         if not all(b.is_zero() for b in by):
             seen = seen + ca.jtimes(seen, ca.vertcat(x, z), ca.vertcat(*by))
-        rows.append(ca.substitute(seen, ca.vertcat(x, z), ca.vertcat(s["x_m"] + shift, s["z_m"])))
+        rows.append(ca.substitute(seen, ca.vertcat(x, z), ca.vertcat(s["x_m"] + shift - dx, s["z_m"] - dz)))
     return s["amplitude"] * ca.vertcat(*rows)
 
 
@@ -299,7 +302,7 @@ def closed_form(model: Model, coefficients: Mapping[str, np.ndarray]) -> np.ndar
     array, seen = array_of(model.layout), sensors(model.layout)
     found: dict[str, float] = {}
     nothing = np.zeros(len(seen))
-    for h in HARMONICS:
+    for h in finite.FITTED:
         turns = [np.mean([np.exp(1j * h * array.wavenumber * x) for x, _ in c.positions]) for c in seen]
         cos, sin = (coefficients.get(f"fade {h} * {f} {h}kx", nothing) for f in ("cos", "sin"))
         mean = np.mean((cos - 1j * sin) * np.array(turns)) / np.mean(np.abs(turns) ** 2)
@@ -396,7 +399,10 @@ def _middle(layout: Layout, log: np.ndarray, among: Sequence[int] | None) -> Arr
     q, half = array.wavenumber, np.pi / array.magnets_per_period
     shares = {finite.sides(array, finite.across_of(array, s)) for s in sensors(layout)}
     columns = [np.ones(len(x))]
-    for h, share in (*((h, (1.0,)) for h in finite.IDEAL[:3]), *((1, share) for share in shares if share)):
+    for h, share in (
+        *((h, (1.0,)) for h in (*finite.FITTED, *finite.given(array))),
+        *((1, share) for share in shares if share),
+    ):
         size = np.polynomial.polynomial.polyval(z / array.wavelength_m, share)
         columns += [size * np.exp(-h * q * (z - array.level_m)) * f(h * q * x) for f in (np.cos, np.sin)]
     design, v = np.array(columns).T, np.array(readings).T

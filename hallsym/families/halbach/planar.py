@@ -8,7 +8,7 @@ along its period. With k = 2 pi / wavelength its field there is, in mover axes,
     Bw = sum over h = 1, 5: a_h exp(h k (m_z + level)) cos h k u,   Bu = minus the same with the sine,
 
 and the sensor reads the component along its own axis: (Bu, Bw) turned into the board's axes. Arrays of stated
-length and width add their ends and their ninth harmonic.
+length and width add their ends and the higher harmonics of cuboid magnets.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -32,7 +32,7 @@ from hallsym.families.halbach.layout import (
     part_of,
     sensors,
 )
-from hallsym.families.halbach.models import FAR, HARMONICS, WAVELENGTH_M, travel, with_ends
+from hallsym.families.halbach.models import FAR, WAVELENGTH_M, travel, with_ends
 from hallsym.log import Meta
 from hallsym.model import Family, Model, Parameter, Signals, on_arrays
 
@@ -157,24 +157,21 @@ def rigid(s: Signals, p: Mapping[str, ca.SX]) -> Rigid:
 
 
 def field(s: Signals, p: Mapping[str, ca.SX], layout: Layout) -> None:
-    """Set the field at each channel: harmonics 1 and 5 of its array along its sensors' axes."""
+    """Set the field at each channel: the harmonics of its array along its sensors' axes."""
     pose = rigid(s, p)
     seen = cache(lambda k: seen_by(s, pose, layout, k))
     s.functions["seen"], s.functions["harmonic"] = lambda s, k: seen(k), harmonic
     s["crest"], s["amplitude"] = ca.SX(0), p["a1"]
     rows = []
     for k in range(len(s["moved"])):
-        rows.append(sum(harmonic(s, k, h, p[f"a{h}"], ca.SX(0)) for h in HARMONICS))
+        array = seen(k)[0].array
+        sizes = {h: p[f"a{h}"] for h in finite.FITTED}
+        sizes |= {h: p["a1"] * finite.strength(array, h) for h in finite.given(array)}
+        rows.append(sum(harmonic(s, k, h, a, ca.SX(0)) for h, a in sizes.items()))
     s["field"] = ca.vertcat(*rows)
     if ended(layout):
         s["ends"] = p["a1"] * ca.vertcat(*(taken_at(s, layout, k) for k in range(len(rows))))
-        s["field"] = s["field"] + s["ends"] + ca.vertcat(*(ninth(s, p, k) for k in range(len(rows))))
-
-
-def ninth(s: Signals, p: Mapping[str, ca.SX], k: int) -> ca.SX:
-    """Return the ninth harmonic at channel k as cuboids make it: 9e-4 of the first at a gap of 3 mm."""
-    array = s.functions["seen"](s, k)[0].array
-    return harmonic(s, k, 9, p["a1"] * finite.strength(array, 9), ca.SX(0))
+        s["field"] = s["field"] + s["ends"]
 
 
 def ended(layout: Layout) -> bool:
