@@ -1,9 +1,10 @@
-"""Gains and offsets of drawn machines of cuboid magnets, in standard uncertainties from their true values.
+"""Gains, offsets and places of drawn machines of cuboid magnets, in standard uncertainties from the truth.
 
 python tests/benchmarks/bench_halbach.py [--seed 2960] [--machines 30] [--planar 0]
 
 Magnets are cuboids of magpylib (`tests/families/halbach_plant.py`); nothing of the model is used. Gains are
-those over their mean, which a fit leaves at 1.
+those over their mean, which a fit leaves at 1, places (of one array) those from their mean, which stays 0.
+"expected" is 1 and the standard deviation of the rms that the stated correlations give.
 """
 
 import argparse
@@ -24,7 +25,7 @@ CENTRES = {"X1": (-2.5, 3.0), "X2": (2.5, -3.0), "Y1": (3.0, 2.5), "Y2": (-3.0, 
 
 
 def log_of(rng, seen, pose, names, references, channels, arrays):
-    """Return the log of a machine whose channels see `seen` (K, n) at 1 V, its gains and its offsets."""
+    """Return the log of a machine whose channels see `seen` (K, n) at 1 V, and what is true of it."""
     runs, sigma = int(rng.integers(3, 7)), float(rng.choice([3e-4, 1e-3, 3e-3]))
     gains, offsets = 0.025 * rng.standard_normal(len(names)), 0.01 * rng.standard_normal(len(names))
     v = seen * (1 + gains[:, None]) + offsets[:, None] + sigma * rng.standard_normal(seen.shape)
@@ -35,7 +36,8 @@ def log_of(rng, seen, pose, names, references, channels, arrays):
     data |= {"run": np.arange(count) * runs // count, "t_s": 0.01 * np.arange(count)}
     noise = dict.fromkeys(names, sigma) | std
     meta = hallsym.log.Meta(probes=channels, raw={"arrays": arrays})
-    return Log.from_arrays(data, Noise.given(noise, tuple(data)), meta), gains, offsets
+    log = Log.from_arrays(data, Noise.given(noise, tuple(data)), meta)
+    return log, {"gain": (1 + gains) / (1 + gains).mean() - 1, "offset_error": offsets}
 
 
 def two(seed):
@@ -47,12 +49,14 @@ def two(seed):
     t, shift = np.linspace(0, 2 * np.pi, int(rng.integers(1000, 3000))), rng.uniform(-3e-3, 3e-3)
     x = 0.016 * np.sin(rng.uniform(11, 23) * t)
     z = 5e-3 + rng.uniform(4e-4, 1e-3) * np.sin(rng.uniform(29, 53) * t)
-    at = [np.column_stack([p - x - shift, 0 * x, -z]) for p in places]
+    off = 5e-5 * rng.standard_normal(n)
+    at = [np.column_stack([p - x - shift, 0 * x, -z]) for p in places + off]
     names = [f"col_{k}_v" for k in range(n)]
     channels = [{"channel": c, "position_m": [float(p)]} for c, p in zip(names, places, strict=True)]
     array = {"name": "X", "wavelength_m": W, "length_m": length, "width_m": width}
     seen = 4 * np.array([plant.field(parts, p)[:, 2] for p in at])
-    return log_of(rng, seen, (x, z), names, ("x_ref_m", "z_ref_m"), channels, [array])
+    log, true = log_of(rng, seen, (x, z), names, ("x_ref_m", "z_ref_m"), channels, [array])
+    return log, true | {"dx": off - off.mean()}
 
 
 def planar(seed):
@@ -86,22 +90,23 @@ def main():
         asked.add_argument(f"--{name}", type=int, default=usual)
     args = asked.parse_args()
     for model, make, many in (("halbach", two, args.machines), ("halbach_planar", planar, args.planar)):
-        z = {"gain": [], "offset_error": []}
+        z, alike = {}, {}
         for seed in range(args.seed, args.seed + many):
-            log, gains, offsets = make(seed)
-            fit = hallsym.fit(
-                log, model, effects=["gain_mismatch", "offset_error"], solver="direct", loss="none"
-            )
-            true = {"gain": (1 + gains) / (1 + gains).mean() - 1, "offset_error": offsets}
-            for name, own in z.items():
+            log, true = make(seed)
+            effects = ["gain_mismatch", "offset_error"] + ["sensor_position_error"] * ("dx" in true)
+            fit = hallsym.fit(log, model, effects=effects, solver="direct", loss="none")
+            correlation = fit.covariance / np.outer(fit.std, fit.std)
+            for name, values in true.items():
                 at = [k for k, n in enumerate(fit.model.names) if n.startswith(f"{name}_")]
-                own.append((fit.values[at] - true[name]) / fit.std[at])
+                z.setdefault(name, []).append((fit.values[at] - values) / fit.std[at])
+                alike[name] = alike.get(name, 0.0) + np.sum(correlation[np.ix_(at, at)] ** 2)
             said = ", ".join(f"{n} {np.abs(own[-1]).max():.2f}" for n, own in z.items())
-            print(f"{model} {seed}: {len(gains)} channels, largest {said}", flush=True)
-        for name, own in z.items() if many else ():
+            print(f"{model} {seed}: {len(at)} channels, largest {said}", flush=True)
+        for name, own in z.items():
             every = np.concatenate(own)
+            spread = np.sqrt(2 * alike[name]) / len(every) / 2
             print(f"{model}, {name}: {len(every)}, largest {np.abs(every).max():.2f}, "
-                  f"rms {np.sqrt(np.mean(every**2)):.3f}")  # fmt: skip
+                  f"rms {np.sqrt(np.mean(every**2)):.3f} (expected 1 +- {spread:.3f})")  # fmt: skip
 
 
 if __name__ == "__main__":
