@@ -67,6 +67,8 @@ JOINS = 3.0
 times theirs."""
 TRIAL = 5
 """Newton steps that bring a head that does see it within a few percent of its misfit."""
+PERIODS = 4
+"""Periods, likeliest first, in which a head is tried; each costs a Newton step."""
 DEAD = 0.05
 """Share of the largest amplitude below which a head is dead."""
 ROUNDS, SETTLED = 40, 1e-8
@@ -337,29 +339,43 @@ def closure_of(
         return _closed(grid, x, noise, pairs, count, jig, begin, known=True)
     alive = np.flatnonzero(amplitude > DEAD * amplitude.max()).tolist()
     # over time: over the angle decoded from them two Halls are pure cosines, which do not tell the period
-    ahead = np.sign(parts[0].u[-1] - parts[0].u[0]) * TURN / parts[0].period * times[0]
+    ahead = TURN / parts[0].period * times[0]
     even = np.stack([np.interp(grid, ahead, own, period=TURN) for own in x.T], axis=1)
-    both, spectra = list(combinations(alive, 2)), _spectra(even, count)
-    similarity = [_place(spectra[a], spectra[b], pairs)[1] for a, b in both]
-    found = _closed(grid, x, noise, pairs, count, _begin(spectra, both[int(np.argmax(similarity))], pairs))
+    spectra = np.fft.rfft(even, axis=0)[1 : count + 1].T * (2 / len(even))
+
+    def joined(places: Mapping[int, float], head: int, start: Closure | None = None) -> Closure:
+        """Return one Newton step with a head beside others at their places, in the best of its periods.
+
+        A ripple of the motion is alike under all heads over time, in whatever period they stand, so the
+        readings decide."""
+        first = next(iter(places))
+        likely = places[first] + _places(spectra[first], spectra[head], pairs)[0][:PERIODS]
+        begins = [_begin(spectra, {**places, head: float(p)}, pairs) for p in likely]
+        trials = [
+            _closed(grid[::2], x[::2], noise, pairs, count, begin, start, rounds=1, errors=False)
+            for begin in begins
+        ]
+        return min(trials, key=lambda trial: trial.misfit)
+
+    both = list(combinations(alive, 2))
+    similarity = [_places(spectra[a], spectra[b], pairs)[1] for a, b in both]
+    one, other = both[int(np.argmax(similarity))]
+    best = joined({one: 0.0}, other)
+    found = _closed(grid, x, noise, pairs, count, best.jig, best)
     for head in alive:
         if head not in found.jig.heads:
-            wider = _begin(spectra, sorted((*found.jig.heads, head)), pairs)
-            trial = _closed(grid, x, noise, pairs, count, wider, found, rounds=TRIAL, errors=False)
+            places = dict(zip(found.jig.heads, (0.0, *found.jig.places), strict=True))
+            wider = joined(places, head, found)
+            trial = _closed(grid, x, noise, pairs, count, wider.jig, wider, rounds=TRIAL, errors=False)
             if trial.misfit < JOINS * max(found.misfit, noise if noise > 0 else 0.0):
                 found = _closed(grid, x, noise, pairs, count, trial.jig, trial)
     return found if found.misfit < DEAD * amplitude.max() else None
 
 
-def _spectra(x: np.ndarray, count: int) -> np.ndarray:
-    """Return phasors (heads, waves) of readings (samples, heads) over a turn."""
-    return np.asarray(np.fft.rfft(x, axis=0)[1 : count + 1].T * (2 / len(x)))
+def _places(one: np.ndarray, other: np.ndarray, pairs: int) -> tuple[np.ndarray, float]:
+    """Return angles (periods,) from one head to another from their spectra (waves,), and their similarity.
 
-
-def _place(one: np.ndarray, other: np.ndarray, pairs: int) -> tuple[float, float]:
-    """Return the angle from one head to another from their spectra (waves,); the likeness of their fields.
-
-    The fundamental tells it modulo a period; the waves beside it choose the period.
+    The fundamental tells the angle modulo a period; the waves beside it order the periods, likeliest first.
     """
     n = np.arange(1, len(one) + 1)
     beside = (n % pairs != 0) if pairs > 1 else n > pairs
@@ -367,16 +383,18 @@ def _place(one: np.ndarray, other: np.ndarray, pairs: int) -> tuple[float, float
     a, b = one[beside], other[beside]
     size = np.linalg.norm(a) * np.linalg.norm(b)
     places = wrapped((rotation + TURN * np.arange(pairs)) / pairs, TURN)
-    similarity = [(np.conj(a) * b * np.exp(-1j * n[beside] * p)).sum().real / size for p in places]
-    best = int(np.argmax(similarity))
-    return float(places[best]), float(similarity[best])
+    similarity = np.array([(np.conj(a) * b * np.exp(-1j * n[beside] * p)).sum().real / size for p in places])
+    return places[np.argsort(-similarity)], float(similarity.max())
 
 
-def _begin(spectra: np.ndarray, heads: Sequence[int], pairs: int) -> Jig:
-    """Places and gains of heads as their spectra (heads, waves) say."""
-    one, *others = spectra[list(heads)]
-    heights = [[np.log(np.abs(other[pairs - 1] / one[pairs - 1])), 0.0, 0.0] for other in others]
-    return Jig(tuple(heads), np.array([_place(one, other, pairs)[0] for other in others]), np.array(heights))
+def _begin(spectra: np.ndarray, places: Mapping[int, float], pairs: int) -> Jig:
+    """Heads at their `places`, with the gains that their spectra (heads, waves) say."""
+    first, *others = sorted(places)
+    size = np.abs(spectra[:, pairs - 1])
+    heights = np.array([[np.log(size[k] / size[first]), 0.0, 0.0] for k in others])
+    return Jig(
+        (first, *others), wrapped(np.array([places[k] - places[first] for k in others]), TURN), heights
+    )
 
 
 def _closed(
@@ -730,11 +748,20 @@ def decided(
             sizes[k] = falls * abs((w.motion or 0) + w.sensor)
     # a ripple of n waves of size r has a slope n r; an error of m waves of the angle at which it is met turns
     # it into n - m and n + m waves. What is not separable may be a ripple, and an error, as large as it is.
-    n, beside = np.arange(1, count + 1), np.pad(off**2, (0, count + 1))  # its last is of no wave
-    of_error = beside[np.abs(n[:, None] - n) - 1] + beside[n[:, None] + n - 1]
-    mixed = np.sqrt(of_error @ (n * sizes / 2) ** 2)
+    # So does an error of the waves found here, whose angle is bent by the table so far.
+    n = np.arange(1, count + 1)
+
+    def met(waves: np.ndarray, bent_by: np.ndarray) -> np.ndarray:
+        """Return the variance (waves,) of waves of the size `waves` over an angle that others bend."""
+        beside = np.pad(bent_by**2, (0, count + 1))  # its last is of no wave
+        return np.asarray(
+            (beside[np.abs(n[:, None] - n) - 1] + beside[n[:, None] + n - 1]) @ (n * waves / 2) ** 2
+        )
+
+    errors = np.array([size if w.std is None else w.std for w, size in zip(waves, sizes, strict=True)])
+    mixed = met(sizes, off) + met(errors, np.abs(so_far))
     return tuple(
-        w if w.std is None else replace(w, std=float(np.hypot(w.std, more)))
+        w if w.std is None else replace(w, std=float(np.sqrt(w.std**2 + more)))
         for w, more in zip(waves, mixed, strict=True)
     )
 
