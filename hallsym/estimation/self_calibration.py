@@ -67,7 +67,7 @@ JOINS = 3.0
 times theirs."""
 TRIAL = 5
 """Newton steps that bring a head that does see it within a few percent of its misfit."""
-PERIODS = 4
+PERIODS = 8
 """Periods, likeliest first, in which a head is tried; each costs a Newton step."""
 DEAD = 0.05
 """Share of the largest amplitude below which a head is dead."""
@@ -471,12 +471,13 @@ def _closed(
     upper = np.where(free, np.inf, begin)
     problem = Problem(lambda points: np.array([derivatives(y)[0] for y in points]),
                       np.where(free, -np.inf, begin), upper, derivatives)  # fmt: skip
-    y = newton(problem, begin, max_iterations=rounds, tolerance=SETTLED).x
-    left, J, product = tangent(y, basis)
-    misfit, own = sigma * float(np.sqrt(np.mean(left**2))), y[2 * count :].reshape(-1, 4)
+    solution = newton(problem, begin, max_iterations=rounds, tolerance=SETTLED)
+    y, own = solution.x, solution.x[2 * count :].reshape(-1, 4)
+    misfit = sigma * float(np.sqrt((solution.cost - precision @ y**2) / (heads * m)))
     solved = replace(jig, places=own[:, 3], heights=own[:, :3])
     if not errors:
         return Closure(solved, phasors(y[: 2 * count]), np.zeros(count), misfit, noise)
+    _, J, product = tangent(y, basis)
     covariance = inverse((product(J) + np.diag(precision))[np.ix_(free, free)])[: 2 * count]
     parts = np.diag(covariance) * max(misfit / sigma, 1.0) ** 2
     bend = np.kron(np.diag(2**0.5 * NONLINEAR * x.std(axis=0)), columns(grid, np.arange(2, 5) * pairs))
@@ -497,6 +498,9 @@ def _closed(
 
 FEW = {1: 1.8, 2: 1.3}
 """Turns -> by how much more than S(n) / R a table is off: slow wander leaks into few turns (simulated)."""
+UNBENT = 3
+"""Times a ripple of two speeds is solved for, each at an angle freed of it: each leaves n r as much, of n waves
+of r rad."""
 SMOOTH = 8
 """Degree up to which the slow motion of a coasting rotor is a polynomial of time; one more a turn."""
 
@@ -559,20 +563,27 @@ def line_of(parts: Sequence[Stretch], count: int, reference: str, jig: Jig | Non
     falls = [(fast / s) ** 2 for s in speeds]
     width = 2 * count * (1 + separable)
 
-    def beside_slow(part: Stretch, share: np.ndarray) -> np.ndarray:
-        """Return the columns (samples, width + 1) of table, falling part and what they are to make."""
+    def beside_slow(part: Stretch, share: np.ndarray, found: np.ndarray) -> np.ndarray:
+        """Return the columns (samples, width + 1) of table, falling part and what they are to make.
+
+        The falling part is one of the angle without its ripple, which is known from the table `found`."""
         table = columns(part.u, n)
-        both = [table, table * share[:, None]] if separable else [table]
+        both = [table]
+        if separable:
+            away = table @ found[: 2 * count] + share * (table @ found[2 * count :])
+            both += [columns(part.u + away, n) * share[:, None]]
         return without_slow(part, np.column_stack([*both, rippled(part, jig) - part.u]), reference)
 
-    products = np.zeros((width + 1, width + 1))
-    for part, share in zip(parts, falls, strict=True):
-        rows = beside_slow(part, share)
-        products += rows.T @ rows
-    found = solve(products[:width, :width], products[:width, width:])[:, 0]
+    found = np.zeros(width)
+    for _ in range(UNBENT if separable else 1):
+        products = np.zeros((width + 1, width + 1))
+        for part, share in zip(parts, falls, strict=True):
+            rows = beside_slow(part, share, found)
+            products += rows.T @ rows
+        before, found = found, solve(products[:width, :width], products[:width, width:])[:, 0]
     powers, made = np.zeros((len(parts), count)), []
     for run, (part, share) in enumerate(zip(parts, falls, strict=True)):
-        rows = beside_slow(part, share)
+        rows = beside_slow(part, share, before)
         table, rest = columns(part.u, n), rows[:, width] - rows[:, :width] @ found
         whole = np.abs(part.u - part.u[0]) / TURN
         for j in range(int(part.turns + 0.02)):
@@ -596,6 +607,11 @@ def line_of(parts: Sequence[Stretch], count: int, reference: str, jig: Jig | Non
         variance[: 1 + separable] *= few_degrees(freedom)
     std = FEW.get(turns, 1.0) * np.sqrt(variance)
     falling = phasors(found[2 * count : width]) if separable else np.full(count, np.nan, complex)
+    if separable:  # a rotor on its own energy adds n r^2 / 8 of 2 n waves that falls with the fourth power
+        half = n[: count // 2]
+        std[:, 2 * half - 1] = np.hypot(
+            std[:, 2 * half - 1], half * np.abs(falling[half - 1]) ** 2 * ratio**2 / (8 * 2**0.5)
+        )
     return Line(phasors(found[: 2 * count]), std[0], density, falling, std[1], turns, float(ratio))
 
 

@@ -89,6 +89,13 @@ def test_two_speeds_separate_cogging_of_a_rotor_that_coasts_and_nothing_else_doe
     assert reversed_.waves[2].verdict == sc.OPEN
 
 
+def test_a_large_ripple_of_two_speeds_spoils_no_wave_of_twice_its_order() -> None:
+    for seed in (31, 32, 33):
+        own, found = calibrated(seed, "coasting", *SLOW_AND_FAST, order=6, cogging=2 * ONE, noise=0.0005)
+        wave = found.waves[11]
+        assert abs(wave.sensor - own.table(found.plane, 14)[11]) < 3 * wave.std < 0.045 * ONE
+
+
 def test_stated_errors_cover_rings_with_more_waves_than_their_table() -> None:
     scores: list[float] = []
     for seed, (pairs, turns) in enumerate([(4, 5.2), (7, 5.2), (4, 3.2), (4, 4.2)] * 2, 20):
