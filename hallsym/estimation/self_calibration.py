@@ -499,8 +499,8 @@ def _closed(
 FEW = {1: 1.8, 2: 1.3}
 """Turns -> by how much more than S(n) / R a table is off: slow wander leaks into few turns (simulated)."""
 UNBENT = 3
-"""Times a ripple of two speeds is solved for, each at an angle freed of it: each leaves n r as much, of n waves
-of r rad."""
+"""Times a ripple of two speeds is solved for, each at an angle freed of it: each leaves n r as much, of n
+waves of r rad."""
 SMOOTH = 8
 """Degree up to which the slow motion of a coasting rotor is a polynomial of time; one more a turn."""
 
