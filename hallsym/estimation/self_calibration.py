@@ -339,7 +339,7 @@ def closure_of(
         return _closed(grid, x, noise, pairs, count, jig, begin, known=True)
     alive = np.flatnonzero(amplitude > DEAD * amplitude.max()).tolist()
     # over time: over the angle decoded from them two Halls are pure cosines, which do not tell the period
-    ahead = TURN / parts[0].period * times[0]
+    half, ahead = grid[::2], TURN / parts[0].period * times[0]
     even = np.stack([np.interp(grid, ahead, own, period=TURN) for own in x.T], axis=1)
     spectra = np.fft.rfft(even, axis=0)[1 : count + 1].T * (2 / len(even))
 
@@ -352,7 +352,7 @@ def closure_of(
         likely = places[first] + _places(spectra[first], spectra[head], pairs)[0][:PERIODS]
         begins = [_begin(spectra, {**places, head: float(p)}, pairs) for p in likely]
         trials = [
-            _closed(grid[::2], x[::2], noise, pairs, count, begin, start, rounds=1, errors=False)
+            _closed(half, x[::2], noise, pairs, count, begin, start, rounds=1, errors=False)
             for begin in begins
         ]
         return min(trials, key=lambda trial: trial.misfit)
@@ -366,7 +366,7 @@ def closure_of(
         if head not in found.jig.heads:
             places = dict(zip(found.jig.heads, (0.0, *found.jig.places), strict=True))
             wider = joined(places, head, found)
-            trial = _closed(grid, x, noise, pairs, count, wider.jig, wider, rounds=TRIAL, errors=False)
+            trial = _closed(half, x[::2], noise, pairs, count, wider.jig, wider, rounds=TRIAL, errors=False)
             if trial.misfit < JOINS * max(found.misfit, noise if noise > 0 else 0.0):
                 found = _closed(grid, x, noise, pairs, count, trial.jig, trial)
     return found if found.misfit < DEAD * amplitude.max() else None
