@@ -89,23 +89,30 @@ def _magnets(array: Array, which: tuple[int, ...]) -> ca.Function:
     return ca.Function("magnets", [*symbols, shares, turns], [size * field])
 
 
+ALTERNATING = (
+    Parameter(
+        "alternating_remanence", 0.0, -LIMIT, LIMIT, "1", "what even magnets have beyond the mean of all"
+    ),
+    Parameter("alternating_turn", 0.0, -LIMIT, LIMIT, "rad", "turn of even magnets beyond the mean of all"),
+)
+"""Of the magnets under the travel, shares and turns; those of odd number have as much less."""
 SHARE, TURN = "share of remanence beyond the array's, of magnet", "turn of the direction of magnet"
 
 
 def _of_each(model: Model, effect: str, shares: str = "", turns: str = "") -> Model:
     """Return the model whose magnets differ by parameters of these names, `{}` the magnet's; none if empty.
 
-    Where both are, all magnets of a single array alike are its amplitude and its place, and every second
-    one stronger and the others weaker by as much is a field on its far side alone. So of the magnets under
-    the sensors' travel those of even and those of odd number have a mean of zero each: two of them, in the
-    middle, follow from the others.
+    Where both are, all magnets of a single array alike are its amplitude and its place: values are those
+    beyond the one in the middle, of even and of odd numbers each, and the mean of those under the sensors'
+    travel is the array's. A difference between even and odd ones is a field on the far side and a little of
+    a third harmonic: it has parameters of its own (`ALTERNATING`), since one magnet upside down makes it too.
     """
     which = segments(model)
     several = len(arrays(model.layout)) > 1
     labels = {(array, i): f"{array}_{i}" if several else f"{i}" for array, i in which}
     middle = which[len(which) // 2 : len(which) // 2 + 2] if shares and turns and not several else []
     ends = next(iter(arrays(model.layout).values())).magnets_per_period // 2
-    sums = {m: [k for k in which[ends:-ends] if (k[1] - m[1]) % 2 == 0 and k != m] for m in middle}
+    inner = which[ends:-ends]
     labels = {key: n for key, n in labels.items() if key not in middle}
 
     def step(s: Signals, p: P) -> None:
@@ -113,7 +120,13 @@ def _of_each(model: Model, effect: str, shares: str = "", turns: str = "") -> Mo
             {key: p[name.format(n)] for key, n in labels.items()} if name else {} for name in (shares, turns)
         ]
         for part in parts:
-            part |= {m: -sum((part[k] for k in others), ca.SX(0)) for m, others in sums.items()}
+            for first in middle:
+                alike = [k for k in which if (k[1] - first[1]) % 2 == 0]
+                under = [k for k in alike if k in inner]
+                mean = sum((part.get(k, ca.SX(0)) for k in under), ca.SX(0)) / len(under)
+                part |= {k: part.get(k, ca.SX(0)) - mean for k in alike}
+        for part, q in zip(parts, ALTERNATING if middle else (), strict=False):
+            part |= {key: value + (-1) ** key[1] * p[q.name] for key, value in part.items()}
         s["field"] = s["field"] + of_magnets(s, model, *parts)
 
     new = [
@@ -124,7 +137,7 @@ def _of_each(model: Model, effect: str, shares: str = "", turns: str = "") -> Mo
             {name.format(n): f"{meaning} {n.replace('_', ' ')}" for n in labels.values()}, LIMIT, unit
         )
     ]
-    return model.with_step("field", step, effect=effect, parameters=tuple(new))
+    return model.with_step("field", step, effect=effect, parameters=(*new, *(ALTERNATING if middle else ())))
 
 
 @effect(link="field", label="each magnet", unless=("magnet_map",), separate=(HALF_TURN, "a longer stroke"))
@@ -144,7 +157,7 @@ def magnet_map(model: Model) -> Model:
     """Each magnet has its own remanence and direction (mover-fixed): a map of the array.
 
     Field of each magnet as a magnetised rectangle, linear in both. A magnet put in upside down has a share
-    of -2.
+    of -2 beyond the others of its kind.
     """
     return _of_each(model, "magnet_map", "magnet_{}_remanence", "magnet_{}_turn")
 
