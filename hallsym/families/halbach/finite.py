@@ -153,7 +153,7 @@ def beyond(array: Array) -> bool:
     No sensor reads a field of 1e-23 of that at the level; such a gap is in another unit.
     """
     gaps = np.abs(array.box(len(array.known_m or range(4)) // 2 - 1)[-1])
-    return bool(max(IDEAL) * array.wavenumber * gaps.max() > np.log(np.finfo(float).max))
+    return bool(max(orders(array)) * array.wavenumber * gaps.max() > np.log(np.finfo(float).max))
 
 
 LONG = 24
