@@ -91,6 +91,8 @@ def unrelated(model: Model, unexplained: np.ndarray, where: str) -> tuple[Fault,
 
 SOLVERS = ("hybrid", "direct", *solvers.EXPLORERS)
 """hybrid is SHTLBO and closed form; direct leaves the global search out; the others replace SHTLBO."""
+NEWTON = "newton"
+"""As direct, without IPOPT: for trials, whose hypotheses are mostly wrong and may have no optimum."""
 BUDGET, SIZE, KEEP = 4040, 40, 3
 """Evaluations and population of the global search; number of its points that are refined."""
 WARM: dict[str, Any] = {"mu_init": 1e-9, "bound_push": 1e-9, "bound_frac": 1e-9}
@@ -166,7 +168,7 @@ def search(
     solver: str,
     seed: int,
 ) -> Search:
-    """Minimise `fitted` from the start `first` and, unless `solver` is "direct", from a global search.
+    """Minimise `fitted` from the start `first` and, unless `solver` is "direct" or `NEWTON`, a global search.
 
     The global search and its local refinements run on `merged`, where the offsets are projected out and the
     whole population is evaluated at once. Newton's method refines the best of them on the exact cost, which
@@ -176,7 +178,7 @@ def search(
     if len(axes.free) == 0:
         return Search(first, fitted.at(first).value, "converged", "Nothing was left to fit.", 1, 1, 1.0)
     scaled, explored = Scaled(fitted.summary.model, first, axes), None
-    if solver != "direct":
+    if solver not in ("direct", NEWTON):
         problem, rng = scaled.problem(merged), np.random.default_rng(seed)
         # points far from every other start, as evidence that the optimum does not depend on the start
         elsewhere = solvers.screened_starts(problem, SCREENED, ELSEWHERE, rng).x
@@ -193,7 +195,7 @@ def search(
     exact = scaled.problem(fitted)
     endings: list[solvers.Result] = [explored] if explored else []
     endings.append(ended := solvers.newton(exact, scaled.to_unit(first), tolerance=ROUNDING))
-    if ended.status != "converged":
+    if ended.status != "converged" and solver != NEWTON:
         endings.append(local := solvers.ipopt(exact, scaled.to_unit(first), **WARM))
         # IPOPT stops within its tolerance; from there Newton's method needs a step or two to reach rounding
         endings.append(solvers.newton(exact, local.x))
@@ -351,6 +353,7 @@ class _Pass:
     fitted: Cost
     p: np.ndarray
     before: Determination | None
+    solver: str
 
     @cached_property
     def cost(self) -> float:
@@ -375,7 +378,7 @@ class _Pass:
     def target(self) -> Search:
         """The optimum of the linearised cost inside the bounds."""
         found, begin = self._found
-        return search(self.fitted, self.fitted, begin, found, solver="direct", seed=0)
+        return search(self.fitted, self.fitted, begin, found, solver=self.solver, seed=0)
 
     def moved(self, share: float) -> tuple[np.ndarray, Offsets]:
         if share == 1.0:
@@ -392,15 +395,16 @@ def optimum(
     holdout: Sequence[int],
     weigh: Weigh | None,
     say: Callable[[str], None],
+    solver: str = "direct",
 ) -> Solution:
-    """Minimise the cost of the fitted runs, from `start` (n,), inside the bounds."""
+    """Minimise the cost of the fitted runs, from `start` (n,), inside the bounds; `solver`: of tangents."""
     number, evaluations, before = count(1), 0, None
 
     def linearise(at: tuple[np.ndarray, Offsets]) -> _Pass:
         say(f"pass {next(number)} over the log")
         p, offsets = at
         everything = cost_of(summarise_at(log, model, p, offsets, noise, weigh), noise)
-        return _Pass(everything, everything.without(holdout), p, before)
+        return _Pass(everything, everything.without(holdout), p, before, solver)
 
     def converged(now: _Pass, gained: float) -> bool:
         nonlocal evaluations, before
