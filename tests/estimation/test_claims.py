@@ -7,6 +7,7 @@ from itertools import permutations, product
 
 import numpy as np
 import pytest
+import recordings
 from recordings import Size, mistaken
 from scipy.signal import lfilter
 from twins import COLUMNS, HALL, SIGMAS, record, same, six_runs, with_noise
@@ -413,3 +414,15 @@ def test_where_agreeing_runs_leave_a_tenth_of_the_excess_no_mistake_of_the_other
     monkeypatch.setattr(claims, "_divisions", lambda *_: {(0,): base})
     monkeypatch.setattr(claims, "_in_runs", lambda *_: pytest.fail("a search that cannot succeed"))
     assert claims._of_some_runs(trials, base) == []
+
+
+@pytest.mark.slow
+def test_trials_of_a_mover_end_where_newton_does(monkeypatch):
+    """A wrong hypothesis may leave a tangent without an optimum, on which IPOPT stays for minutes."""
+    monkeypatch.setattr(optimum.solvers, "ipopt", lambda *_, **__: pytest.fail("IPOPT was asked"))
+    drawn = recordings.machine("planar", 3)
+    arrays = drawn.arrays | {"x2_col_1_v": -drawn.arrays["x2_col_1_v"]}
+    log = Log.from_arrays(
+        arrays, Noise.given(drawn.stated, tuple(arrays)), Meta(base_model=drawn.model, probes=drawn.probes)
+    )
+    assert [c.correction for c in fit(log, drawn.built).claims] == ["sign x2_col_1_v"]
