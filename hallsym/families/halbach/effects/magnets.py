@@ -5,6 +5,7 @@ What is fixed to the mover repeats from run to run and moves with x; what is fix
 
 from collections.abc import Mapping
 from functools import cache
+from itertools import product
 from math import pi
 from types import MappingProxyType
 
@@ -96,6 +97,11 @@ ALTERNATING = (
     Parameter("alternating_turn", 0.0, -LIMIT, LIMIT, "rad", "turn of even magnets beyond the mean of all"),
 )
 """Of the magnets under the travel, shares and turns; those of odd number have as much less."""
+ALIKE = (
+    "no reading shows what magnets of even, or of odd, number have in common beside the array: the mean of "
+    "those under the travel stays 0; one with fixed = true in the machine file sets it instead"
+)
+"""Said where a fit leaves these means at 0."""
 SHARE, TURN = "share of remanence beyond the array's, of magnet", "turn of the direction of magnet"
 
 
@@ -103,30 +109,24 @@ def _of_each(model: Model, effect: str, shares: str = "", turns: str = "") -> Mo
     """Return the model whose magnets differ by parameters of these names, `{}` the magnet's; none if empty.
 
     Where both are, all magnets of a single array alike are its amplitude and its place: values are those
-    beyond the one in the middle, of even and of odd numbers each, and the mean of those under the sensors'
-    travel is the array's. A difference between even and odd ones is a field on the far side and a little of
-    a third harmonic: it has parameters of its own (`ALTERNATING`), since one magnet upside down makes it too.
+    beyond the mean of the magnets of even or of odd number under the sensors' travel, which is the array's. A
+    difference between even and odd ones is a field on the far side and a little of a third harmonic: it has
+    parameters of its own (`ALTERNATING`), since one magnet upside down makes it too.
     """
     which = segments(model)
     several = len(arrays(model.layout)) > 1
     labels = {(array, i): f"{array}_{i}" if several else f"{i}" for array, i in which}
-    middle = which[len(which) // 2 : len(which) // 2 + 2] if shares and turns and not several else []
     ends = next(iter(arrays(model.layout).values())).magnets_per_period // 2
-    inner = which[ends:-ends]
-    labels = {key: n for key, n in labels.items() if key not in middle}
+    both = bool(shares and turns) and not several
+    under = [[k for k in which[ends:-ends] if k[1] % 2 == odd] for odd in (0, 1)] if both else []
 
     def step(s: Signals, p: P) -> None:
         parts = [
             {key: p[name.format(n)] for key, n in labels.items()} if name else {} for name in (shares, turns)
         ]
-        for part in parts:
-            for first in middle:
-                alike = [k for k in which if (k[1] - first[1]) % 2 == 0]
-                under = [k for k in alike if k in inner]
-                mean = sum((part.get(k, ca.SX(0)) for k in under), ca.SX(0)) / len(under)
-                part |= {k: part.get(k, ca.SX(0)) - mean for k in alike}
-        for part, q in zip(parts, ALTERNATING if middle else (), strict=False):
-            part |= {key: value + (-1) ** key[1] * p[q.name] for key, value in part.items()}
+        for part, q in zip(parts, ALTERNATING if both else (), strict=False):
+            means = [sum((part[k] for k in own), ca.SX(0)) / max(len(own), 1) for own in under]
+            part |= {k: v - means[k[1] % 2] + (-1) ** k[1] * p[q.name] for k, v in part.items()}
         s["field"] = s["field"] + of_magnets(s, model, *parts)
 
     new = [
@@ -137,7 +137,10 @@ def _of_each(model: Model, effect: str, shares: str = "", turns: str = "") -> Mo
             {name.format(n): f"{meaning} {n.replace('_', ' ')}" for n in labels.values()}, LIMIT, unit
         )
     ]
-    return model.with_step("field", step, effect=effect, parameters=(*new, *(ALTERNATING if middle else ())))
+    wide = model.with_step("field", step, effect=effect, parameters=(*new, *(ALTERNATING if both else ())))
+    for name, own in product((shares, turns), under):
+        wide = wide.with_gauge([name.format(labels[k]) for k in own], ALIKE)
+    return wide
 
 
 @effect(link="field", label="each magnet", unless=("magnet_map",), separate=(HALF_TURN, "a longer stroke"))
