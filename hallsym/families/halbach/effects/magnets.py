@@ -4,6 +4,7 @@ What is fixed to the mover repeats from run to run and moves with x; what is fix
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 from itertools import product
 from math import pi
@@ -140,7 +141,11 @@ def _of_each(model: Model, effect: str, shares: str = "", turns: str = "") -> Mo
     wide = model.with_step("field", step, effect=effect, parameters=(*new, *(ALTERNATING if both else ())))
     for name, own in product((shares, turns), under):
         wide = wide.with_gauge([name.format(labels[k]) for k in own], ALIKE)
-    return wide
+    if len(model.pose) > 2:
+        return wide
+    (array,) = arrays(model.layout).values()
+    places = np.linspace(*array.under, len(which))  # a magnet is seen where it is under the sensors
+    return replace(wide, typical=(*model.typical, *((-x, array.level_m) for x in places.tolist())))
 
 
 @effect(link="field", label="each magnet", unless=("magnet_map",), separate=(HALF_TURN, "a longer stroke"))
