@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import combinations, islice, permutations, product
 
+import casadi as ca
 import numpy as np
 import scipy
 
@@ -33,7 +34,7 @@ from hallsym.log.derived import extended
 from hallsym.log.estimate import estimate_noise
 from hallsym.log.phase import as_continuous, continuous
 from hallsym.log.table import joined
-from hallsym.model import Model
+from hallsym.model import Model, Parameter, Signals
 from hallsym.units import UNITS, si_unit, split_unit
 
 SAMPLES = 8_000
@@ -817,18 +818,25 @@ def _of_some_runs(trials: Trials, base: Tried) -> list[Found]:
         if after is not None and after.left and _explains(base, after, least):
             explained.append((len(some), after.mean(after.deviance), some))
     found = min(explained, key=lambda one: one[:2], default=(0, 0.0, []))[2]
-    return [_among(divided, one) if one.correction.kind == "other_device" else one for one in found]
+    alone = [
+        one.correction for *_, some in explained for one in some if one.correction.kind == "other_device"
+    ]
+    return [_among(divided, one, alone) if one.correction in alone else one for one in found]
 
 
-def _among(divided: Mapping[tuple[int, ...], Tried], found: Found) -> Found:
-    """Return another device with its rivals: no more runs, without which the others agree as well."""
-    own = found.correction.runs
+def _among(divided: Mapping[tuple[int, ...], Tried], found: Found, explained: Sequence[Correction]) -> Found:
+    """Return another device with its rivals: those that are `explained` too, each of which explains the log.
+
+    And no more runs, without which the others agree as well.
+    """
+    c = found.correction
     rivals = tuple(
-        found.correction.in_runs(odd)
+        other
         for odd, agreed in divided.items()
-        if odd != own and len(odd) <= len(own)
-        and agreed.mean(agreed.left) - divided[own].mean(divided[own].left)
-        < _close(agreed, [*agreed.left], agreed.mean(agreed.left))
+        if (other := c.in_runs(odd)) != c
+        and (other in explained or (len(odd) <= len(c.runs)
+             and agreed.mean(agreed.left) - divided[c.runs].mean(divided[c.runs].left)
+             < _close(agreed, [*agreed.left], agreed.mean(agreed.left))))
     )  # fmt: skip
     return replace(found, rivals=rivals, single=not rivals)
 
@@ -1257,39 +1265,46 @@ def _of(c: Correction, runs: Sequence[int]) -> Correction:
 def _other_device(trials: Trials, now: Tried, runs: Sequence[int], floor: float) -> list[Found]:
     """Return runs that parameters, and gains of readings, of their own describe, where no mistake does.
 
-    As well as the other runs are described, to `floor`: so many parameters leave nothing but noise.
+    As well as the other runs are described, to `floor`: so many parameters leave nothing but noise. Without
+    gains the noise is the same as in the other runs, with them it is in proportion to the gain.
     """
-    gains: tuple[Correction, ...] = ()
-    found: list[Found] = []
     readings = sum(now.counts[r] for r in runs) * len(trials.model.channels)
-    for _ in range(ROUNDS):
-        own = trials.fitted(gains, runs)
-        if own is None or not own.left:
-            break
+    most = floor + CHANCE * (2 / readings) ** 0.5
+
+    def described(own: Tried | None) -> list[Found]:
+        if own is None or not own.left or own.mean(own.left) >= most:
+            return []
         after = own.mean(own.deviance), own.mean(own.left)
-        one = Judged(now.mean(now.deviance), *after, Correction("other_device"))
-        if one.left - floor < CHANCE * (2 / readings) ** 0.5:
-            found = [Found(one.correction.in_runs(runs), one.explains)]
-            break
-        gains = _gains(trials, own, gains, runs)
-    return found
+        one = Judged(now.mean(now.deviance), *after, Correction("other_device", runs=tuple(runs)))
+        return [Found(one.correction, one.explains)]
+
+    return described(trials.fitted((), runs)) or described(_with_gains(trials, now.p, runs))
 
 
-def _gains(
-    trials: Trials, own: Tried, before: Sequence[Correction], runs: Sequence[int]
-) -> tuple[Correction, ...]:
-    """Return the gains of readings that describe runs better at the parameters of `own`."""
-    known = {c.columns[0]: c.numbers[0] for c in before}
-    changes = {
-        c: _along(own, c, runs, gain=True, since=None, within=False)[0]
-        for c in trials.model.channels
-        if c not in trials.model.period
-    }
-    return tuple(
-        Correction("gain_step", (c,), (known.get(c, 1.0) / (1 - change),), tuple(runs))
-        for c, change in changes.items()
-        if np.isfinite(change) and change < 1
-    )
+FREE = (1e-4, 1e4)
+"""Bounds of a gain: so far apart that it is the gain that is fitted where a parameter can make up for it."""
+
+
+def _with_gains(trials: Trials, p: np.ndarray, runs: Sequence[int]) -> Tried | None:
+    """Return runs with the gains of readings, fitted with the parameters from `p` (n,), undone.
+
+    Parameters that gains make up for stay at `p`, the values of the other runs.
+    """
+    model = trials.model
+    names = {c: f"gain of {c}" for c in model.channels if c not in model.period}
+
+    def step(s: Signals, known: Mapping[str, ca.SX]) -> None:
+        s["reading"] *= ca.vertcat(*(known[names[c]] if c in names else 1 for c in model.channels))
+
+    gains = tuple(Parameter(name, 1.0, *FREE, "1") for name in names.values())
+    begin = model.with_parameters({name: {"nominal": value} for name, value in model.named(p).items()})
+    begin = replace(begin, closed_form=None, guess=None)
+    wide = begin.with_step("electronics", step, effect="gains of another device", parameters=gains)
+    if not names or (own := replace(trials, model=wide).fitted((), runs)) is None:
+        return None
+    values = wide.named(own.p)
+    undone = [Correction("gain_step", (c,), (values[name],), tuple(runs)) for c, name in names.items()]
+    return trials.at(undone, own.p[: len(p)], runs)
 
 
 Residual = Callable[[Block], np.ndarray]
