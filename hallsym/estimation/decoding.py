@@ -12,7 +12,7 @@ from hallsym.log.batches import Batch, Weigh, batches
 from hallsym.log.derived import extended
 from hallsym.log.phase import wrapped
 from hallsym.model import Model
-from hallsym.model.arrays import on_arrays
+from hallsym.model.arrays import jacobian, on_arrays
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +138,7 @@ def slopes_by_column(model: Model) -> Callable[..., list[np.ndarray]]:
     def made() -> Callable[..., list[np.ndarray]]:
         s = model.symbols
         reading = ca.substitute(s.full(s.reading), s.offsets, ca.SX.zeros(s.offsets.numel()))
-        slope = ca.jacobian(reading, ca.vertcat(s.pose, s.state))
+        slope = jacobian(reading, ca.vertcat(s.pose, s.state))
         return on_arrays(ca.Function("slope", [s.parameters, s.pose, s.state], [ca.densify(slope)]))
 
     return model.remember("slopes by column", made)

@@ -32,7 +32,7 @@ from hallsym.log.batches import Batch, Weigh, batches
 from hallsym.log.derived import extended
 from hallsym.log.phase import continuous
 from hallsym.model import Model
-from hallsym.model.arrays import on_arrays
+from hallsym.model.arrays import jacobian, on_arrays
 from hallsym.model.features import Features, Rows, find_features
 
 # -- lossless triangles of a polynomial reading --------------------------------------------------------------
@@ -90,9 +90,9 @@ class RunStatistics:
         for c in np.flatnonzero(variance):
             here = column == c
             out[:, i[here], j[here]] += variance[c] * self.slopes[:, here]
-        upper = np.triu_indices(f, 1)
-        out[:, upper[1], upper[0]] = out[:, upper[0], upper[1]]
-        return out
+        both = out + np.swapaxes(out, 1, 2)
+        both[:, np.arange(f), np.arange(f)] /= 2
+        return both
 
     def select(self, runs: Iterable[int]) -> "RunStatistics":
         """Return the statistics of some of the runs, in the order given."""
@@ -414,7 +414,7 @@ def program(model: Model) -> Program:
     """Return the tangents of a model, by differentiation."""
     s = model.symbols
     reading = ca.densify(s.full(s.reading))
-    by_p, by_z = ca.jacobian(reading, s.parameters), ca.jacobian(reading, s.offsets)
+    by_p, by_z = jacobian(reading, s.parameters), ca.jacobian(reading, s.offsets)
     entries, zero_entries = _entries(by_p), _entries(by_z)
     rest = reading - by_z @ s.offsets if s.offsets.numel() else reading
     rows = ca.vertcat(*(by_z[k, j] for k, j in zero_entries), *(by_p[k, j] for k, j in entries), rest)

@@ -336,7 +336,8 @@ class _Runs:
         self.W = np.linalg.inv(self.covariance)
         at_zero = R_m - self.R_f @ base
         self.offsets = self._best_offsets(at_zero)
-        self.A = at_zero - self.R_f @ np.tensordot(self.offsets, c[1:], axes=1)  # (r, m, K)
+        carried = self.R_f @ np.tensordot(self.offsets, c[1:], axes=1) if self.offsets.size else 0.0
+        self.A = at_zero - carried  # (r, m, K)
         self.squares = np.swapaxes(self.A, 1, 2) @ self.A
         self.values = np.einsum("rkl,rlk->r", self.W, self.squares)
 
@@ -427,9 +428,9 @@ class _Runs:
         moving = np.any(self.cost.column_variance)
         if self.rows is not None:
             k, at = self.rows.channel, self.rows.feature
-            middle = fit[:, k[:, None], k] * self.cost.grams[self.at][:, at[:, None], at]
+            middle = _square(fit, k) * _square(self.cost.grams[self.at], at)
             if moving:
-                middle -= noise[:, k[:, None], k] * self.Q[:, at[:, None], at]
+                middle -= _square(noise, k) * _square(self.Q, at)
             return np.swapaxes(B, 1, 2) @ (middle @ B)
         r, K, f, v = B.shape
         middle = fit @ (self.cost.grams[self.at, None] @ B).reshape(r, K, f * v)
@@ -478,6 +479,11 @@ class _Runs:
 
 FEW = 8
 """Channels up to which one product with all K^4 products of two matrices is faster than two with each."""
+
+
+def _square(matrices: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return the rows and columns `at` (m,) of matrices (r, n, n), in a third of the time of an index."""
+    return matrices.take(at, axis=1).take(at, axis=2)
 
 
 def _between(a: np.ndarray, X: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -118,6 +118,16 @@ def on_arrays(function: ca.Function) -> Callable[..., list[np.ndarray]]:
     return run
 
 
+def jacobian(values: ca.SX, variables: ca.SX) -> ca.SX:
+    """Return d values / d variables in the mode, forwards or backwards, whose graph has fewer operations.
+
+    CasADi takes the mode with fewer directions. Each channel of an array of sensors has operations of its
+    own, which a direction backwards visits once in all, and one forwards once for each variable.
+    """
+    ways = [ca.jacobian(values, variables, mode) for mode in ({}, {"allow_forward": False})]
+    return min(ways, key=lambda way: ca.Function("way", ca.symvar(way), [way]).n_instructions())
+
+
 def on_vectors(function: ca.Function) -> Callable[..., list[np.ndarray]]:
     """Return `run(*inputs) -> outputs`, a function of dense vectors called thousands of times.
 

@@ -97,6 +97,17 @@ def test_every_operation_is_casadis(code):
     assert np.all(np.abs(found[0] - expected) <= ULPS * np.maximum(np.abs(expected), EPS))
 
 
+@pytest.mark.parametrize("shared", [False, True])
+def test_a_jacobian_takes_the_mode_of_fewer_operations(shared):
+    p, x = ca.SX.sym("p", 4), ca.SX.sym("x", 12)
+    one, own = ca.exp(ca.sin(ca.sumsqr(p))), [ca.exp(ca.sin(ca.sumsqr(p * a))) for a in ca.vertsplit(x)]
+    values = one * x if shared else ca.vertcat(*own)
+    found, usual = (ca.Function("f", [p, x], [of(values, p)]) for of in (arrays.jacobian, ca.jacobian))
+    at = np.arange(4) / 9, np.arange(12) / 9
+    assert np.allclose(found(*at).full(), usual(*at).full(), rtol=1e-13)
+    assert (found.n_instructions() < usual.n_instructions()) == (not shared)
+
+
 def test_sign_of_negative_numbers_in_fmod_and_of_zero():
     a, b = ca.SX.sym("a"), ca.SX.sym("b")
     f = on_arrays(ca.Function("f", [ca.vertcat(a, b)], [ca.vertcat(ca.fmod(a, b), ca.sign(a))]))

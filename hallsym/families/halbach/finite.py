@@ -4,11 +4,11 @@ Where a machine states length and width, what ends take is a polynomial of the p
 (`Ends`), fitted to the closed form of cuboids; else `missing`, in two dimensions, serves `array_edges`.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
-from math import pi, prod
+from math import pi
 from typing import Any
 
 import casadi as ca
@@ -206,20 +206,22 @@ class Polynomial:
     c: np.ndarray
 
     def __call__(self, variables: Sequence[Any]) -> Any:
-        """Return the share at a place (n,), of symbols or arrays."""
-        rows = []
-        for value, middle, most in zip(
-            variables, self.middle, self.powers.max(axis=0, initial=0), strict=True
-        ):
-            row = [None, value - float(middle)]
-            while len(row) <= most:
-                row.append(row[-1] * row[1])
-            rows.append(row)
-        total = 0 * variables[0]
-        for c, own in zip(self.c.tolist(), self.powers.tolist(), strict=True):
-            term = [row[n] for row, n in zip(rows, own, strict=True) if n]
-            total = total + (prod(term[1:], start=term[0]) * c if term else c)
-        return total
+        """Return the share at a place (n,), of symbols or arrays: by Horner's scheme."""
+        away = [value - float(middle) for value, middle in zip(variables, self.middle, strict=True)]
+        terms = {tuple(own): c for c, own in zip(self.c.tolist(), self.powers.tolist(), strict=True)}
+        return 0 * variables[0] + _horner(terms, away)
+
+
+def _horner(terms: Mapping[tuple[int, ...], float], variables: Sequence[Any]) -> Any:
+    """Return the sum of the terms, coefficients by the powers of their variables, nested in the first."""
+    if not variables:
+        return terms.get((), 0.0)
+    first, *others = variables
+    total: Any = 0.0
+    for n in range(max((own[0] for own in terms), default=0), -1, -1):
+        part = _horner({own[1:]: c for own, c in terms.items() if own[0] == n}, others)
+        total = total * first + part
+    return total
 
 
 NO_FIELD = Polynomial(np.zeros((0, 3), dtype=int), np.zeros(3), np.zeros(0))
