@@ -399,7 +399,6 @@ class Program:
     zero_entries: tuple[tuple[int, int], ...]
     values: Callable[..., list[np.ndarray]]
     slope_sparsity: ca.Sparsity
-    by_parameter: Callable[..., list[np.ndarray]]
 
     @cached_property
     def pairs(self) -> np.ndarray:
@@ -418,13 +417,13 @@ def program(model: Model) -> Program:
     entries, zero_entries = _entries(by_p), _entries(by_z)
     rest = reading - by_z @ s.offsets if s.offsets.numel() else reading
     rows = ca.vertcat(*(by_z[k, j] for k, j in zero_entries), *(by_p[k, j] for k, j in entries), rest)
+    rows = ca.cse(rows)
     inputs = [s.parameters, s.offsets, s.pose, s.state]
     return Program(
         entries,
         zero_entries,
         on_arrays(ca.Function("tangents", inputs, [ca.densify(rows)])),
         ca.jacobian_sparsity(rows, ca.vertcat(s.pose, s.state)),
-        on_arrays(ca.Function("by_parameter", inputs, [ca.densify(by_p)])),
     )
 
 
@@ -530,8 +529,11 @@ class TangentFeatures(Features):
         size = np.where(np.arange(count) % 2, 10.0 ** -(SMALLEST * rng.random(count)), 1.0)
         pose, state = pose if model.typical else pose * size, state * size
         offsets = np.zeros((len(model.offsets), count))
-        (rows,) = program(model).by_parameter(p, offsets, pose, state)
-        return np.moveaxis(rows.reshape(len(model.names), -1), 0, 1)
+        parts, rows = program(model), np.zeros((len(model.names), len(model.channels), count))
+        k, j = np.array(parts.entries, dtype=int).reshape(-1, 2).T
+        at = len(parts.zero_entries)
+        rows[j, k] = parts.values(p, offsets, pose, state)[0][at : at + len(k)]
+        return rows.reshape(len(rows), -1).T
 
 
 @lru_cache(maxsize=32)
