@@ -128,7 +128,7 @@ def null_text(report: Identifiability) -> list[str]:
     return [
         f"structural rank {structural.rank} of {structural.of}: {some}",
         *_directions(structural.null),
-        *(f"  {gauge.text}" for gauge, _ in gauges),
+        *dict.fromkeys(f"  {gauge.text}" for gauge, _ in gauges),
         f"practical rank {practical.rank} of {practical.of}: {less}",
         *_directions(practical.null),
     ]

@@ -230,7 +230,7 @@ def parameters_of(fit: Fit) -> list[Block]:
     head = ["parameter", "value (1 sigma)", "unit", "nominal", "bounds", "meaning"]
     rows = [_parameter(fit, k, remarks[k]) for k in shown]
     table = Table(head, rows, f"parameters of {fit.model.name}", wordy=(5,), sortable=True)
-    content: list[Block] = [Note(VALUES), table, *(Words(gauge.text) for gauge in fit.gauges)]
+    content: list[Block] = [Note(VALUES), table, *map(Words, dict.fromkeys(g.text for g in fit.gauges))]
     if len(shown) < len(remarks):
         more = f"and {counted(len(remarks) - len(shown), 'parameter')} more that this log does not determine"
         content.append(Words(f"{more}; the calibration file and --json list all"))
