@@ -183,7 +183,7 @@ class Watched:
     """What is left of a reading after the decode: the step `left`, of the readings (numbers) it may be.
 
     `error`: the step whose product with `left` is its part of the sum that the flag of a fault looks at;
-    `left` itself where readings count alike.
+    `left` itself where readings count equally.
     """
 
     left: str

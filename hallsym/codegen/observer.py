@@ -198,8 +198,7 @@ def observer_of(
 
 
 def followed(fit: Fit, log_: Log, observer: Observer) -> tuple[Followed, ...]:
-    """Return what an observer leaves of each coordinate of a log by speed, one sample ahead, beside the last
-    pose held."""
+    """Return what an observer, one sample ahead, and the last pose leave of each coordinate by speed."""
     found = [_errors(fit, run, [observer], observer.period_s) for run in _runs(fit, log_)]
     speed = np.hstack([f[0][:, f[3][0]] for f in found])
     last = np.hstack([f[1][:, f[3][0]] for f in found])

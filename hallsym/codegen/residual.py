@@ -340,7 +340,7 @@ class _Judgement:
         """Whether each watched reading can be told from every other (m,)."""
         out = []
         for k, one in enumerate(self.d.watched):
-            if len(one.readings) > 1 or one.error:  # alike, or told from others in some places only
+            if len(one.readings) > 1 or one.error:  # confusable everywhere, or in some places
                 out.append(False)
                 continue
             _, seen = self._others(k)

@@ -23,8 +23,8 @@ from hallsym.estimation.decoding import columns_of, logged_columns, residuals
 from hallsym.estimation.factors import RunStatistics, exact, summarise, summarise_at
 from hallsym.estimation.identifiable import determine
 from hallsym.estimation.likelihood import Cost, cost_near, cost_of
-from hallsym.estimation.optimum import NEWTON, SETTLING, closed_form, linear_fit, refit
-from hallsym.estimation.task import Asked, Task, noise_of
+from hallsym.estimation.optimum import NEWTON, SETTLING, closed_form, linear_fit, optimum, refit
+from hallsym.estimation.task import noise_of, silent
 from hallsym.families.recording import Correction, as_corrections, said
 from hallsym.log import Log, Noise
 from hallsym.log.batches import batches
@@ -511,11 +511,9 @@ class Trials:
     ) -> Tried | None:
         if not exact(self.model):
             log = self.log(corrections, runs, merged=self.runs_merge)
-            task = Task(log, self.model, (), Asked(solver=NEWTON))
-            guess = self.model.guess
-            state = task.passes(
-                self.model.vector(guess(self.model, log)) if guess else self.model.nominal, None
-            )
+            guess, noise = self.model.guess, noise_of(log, self.model).std
+            begin = self.model.vector(guess(self.model, log)) if guess else self.model.nominal
+            state = optimum(log, self.model, noise, begin, (), None, silent, NEWTON)
             if self.runs_merge:
                 return self.at(corrections, state.p, runs)
             within = _within(log, self.model)

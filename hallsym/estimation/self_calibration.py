@@ -346,8 +346,9 @@ def closure_of(
     def joined(places: Mapping[int, float], head: int, start: Closure | None = None) -> Closure:
         """Return one Newton step with a head beside others at their places, in the best of its periods.
 
-        A ripple of the motion is alike under all heads over time, in whatever period they stand, so the
-        readings decide."""
+        A ripple of the motion is the same under all heads over time, in whatever period they stand, so the
+        readings decide.
+        """
         first = next(iter(places))
         likely = places[first] + _places(spectra[first], spectra[head], pairs)[0][:PERIODS]
         begins = [_begin(spectra, {**places, head: float(p)}, pairs) for p in likely]
@@ -566,7 +567,8 @@ def line_of(parts: Sequence[Stretch], count: int, reference: str, jig: Jig | Non
     def beside_slow(part: Stretch, share: np.ndarray, found: np.ndarray) -> np.ndarray:
         """Return the columns (samples, width + 1) of table, falling part and what they are to make.
 
-        The falling part is one of the angle without its ripple, which is known from the table `found`."""
+        The falling part is one of the angle without its ripple, which is known from the table `found`.
+        """
         table = columns(part.u, n)
         both = [table]
         if separable:

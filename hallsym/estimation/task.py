@@ -42,7 +42,7 @@ from hallsym.estimation.goodness_of_fit import (
 )
 from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Cost, Point, cost_of, deviations_of
-from hallsym.estimation.optimum import DROP, NEWTON, LinearFit, Solution, linear_fit, optimum
+from hallsym.estimation.optimum import DROP, LinearFit, Solution, linear_fit, optimum
 from hallsym.families import adapted, added_effects, build, default_model, plain
 from hallsym.families.recording import Correction, corrected
 from hallsym.log import Fault, Log, Noise, estimate_noise, usable
@@ -207,9 +207,7 @@ class Task:
 
     def passes(self, begin: np.ndarray, keep: Weigh | None) -> Solution:
         """Return the optimum that passes over the log reach from `begin` (n,)."""
-        asked, noise = self.asked, self.noise.std
-        solver = NEWTON if asked.solver == NEWTON else "direct"  # a tangent needs no global search
-        return optimum(self.log, self.model, noise, begin, self.holdout, keep, asked.say, solver)
+        return optimum(self.log, self.model, self.noise.std, begin, self.holdout, keep, self.asked.say)
 
     def elsewhere(self, state: Solution, known: Sequence[str], keep: Weigh | None) -> Solution:
         """Return a better optimum from starts at which parameters without effect at the optimum act.

@@ -331,7 +331,7 @@ class _Assembly(Assembly):
         return self.made.entry(f"{column}_middle", value, "m", "middle of the box")
 
     def _first(self, axis: int, members: Sequence[int]) -> ca.SX:
-        """The place along an axis that all its sensors alike say, in the period that is meant."""
+        """The place along an axis that all its sensors agree on, in the period that is meant."""
         made, column, cos, sin = self.made, short(self.found.model.pose[axis]), [], []
         for k in members:
             row = self.found.rows[k]

@@ -13,7 +13,7 @@ from hallsym.model import Inspection, Model, on_arrays
 SAMPLES = 4000
 """Samples of a log that are looked at, evenly over all runs; of six coordinates a tenth."""
 LEAST_TRAVEL = 0.25
-"""Travel, in wavelengths, that a fit needs: less tells amplitude and phase of a harmonic hardly apart."""
+"""Travel, in wavelengths, that a fit needs: less hardly separates amplitude and phase of a harmonic."""
 WHOLE = 0.99
 """Travel, in wavelengths, from which on the wavelength of the magnets shows by itself: a whole one, of which
 the last sample and the reference's noise may take a little."""

@@ -99,7 +99,7 @@ class Array:
 
     @property
     def stated(self) -> Array:
-        """The array as a file states it, without what a log has told of it."""
+        """The array as a file states it, without what a log says of it."""
         return replace(self, ends=False, middle_magnet=0, known_m=(), middle_m=0.0, rival=0)
 
     @property

@@ -47,7 +47,7 @@ READING: Port = port("reading", labels)
 
 
 def move(s: Signals, coordinate: str, by: ca.SX | Sequence[ca.SX]) -> None:
-    """Add to a coordinate of the pose, for all channels alike or one by one."""
+    """Add to a coordinate of the pose, for all channels at once or one by one."""
     each = by if isinstance(by, list | tuple) else [by] * len(s["moved"])
     for moved, change in zip(s["moved"], each, strict=True):
         moved[coordinate] = moved[coordinate] + change

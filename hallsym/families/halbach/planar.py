@@ -252,7 +252,7 @@ def patches(layout: Layout) -> tuple[Patch, ...]:
 
 
 MOST_ALIKE = 100.0
-"""Condition of the places of a patch in the period beyond which phase and amplitude are not told apart."""
+"""Condition of the places of a patch in the period beyond which phase and amplitude are not separable."""
 
 
 def measured(v: ca.SX, amplitude: ca.SX, layout: Layout) -> list[tuple[Patch, ca.SX, ca.SX]]:

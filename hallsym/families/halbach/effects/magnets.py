@@ -98,7 +98,7 @@ ALTERNATING = (
     Parameter("alternating_turn", 0.0, -LIMIT, LIMIT, "rad", "turn of even magnets beyond the mean of all"),
 )
 """Of the magnets under the travel, shares and turns; those of odd number have as much less."""
-ALIKE = (
+COMMON = (
     "no reading shows what magnets of even, or of odd, number have in common beside the array: the mean of "
     "those under the travel stays 0; one with fixed = true in the machine file sets it instead"
 )
@@ -109,7 +109,7 @@ SHARE, TURN = "share of remanence beyond the array's, of magnet", "turn of the d
 def _of_each(model: Model, effect: str, shares: str = "", turns: str = "") -> Model:
     """Return the model whose magnets differ by parameters of these names, `{}` the magnet's; none if empty.
 
-    Where both are, all magnets of a single array alike are its amplitude and its place: values are those
+    Where both are, what all magnets of a single array share is its amplitude and its place: values are those
     beyond the mean of the magnets of even or of odd number under the sensors' travel, which is the array's. A
     difference between even and odd ones is a field on the far side and a little of a third harmonic: it has
     parameters of its own (`ALTERNATING`), since one magnet upside down makes it too.
@@ -140,7 +140,7 @@ def _of_each(model: Model, effect: str, shares: str = "", turns: str = "") -> Mo
     ]
     wide = model.with_step("field", step, effect=effect, parameters=(*new, *(ALTERNATING if both else ())))
     for name, own in product((shares, turns), under):
-        wide = wide.with_gauge([name.format(labels[k]) for k in own], ALIKE)
+        wide = wide.with_gauge([name.format(labels[k]) for k in own], COMMON)
     if len(model.pose) > 2:
         return wide
     (array,) = arrays(model.layout).values()
