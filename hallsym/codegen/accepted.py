@@ -15,9 +15,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.bounds import LEAST_GAIN
-from hallsym.codegen.decoupler import Bits, Decoupler, Lookup, Margin, Step, Whole, short
-from hallsym.codegen.intervals import Enclosure, enclose, enclosures
+from hallsym.codegen.bounds import LEAST_GAIN, enclosed_steps
+from hallsym.codegen.decoupler import Decoupler, Margin, Whole, short
+from hallsym.codegen.intervals import Enclosure, enclose
 from hallsym.codegen.operations import Graph, graph
 from hallsym.errors import InputError
 
@@ -78,20 +78,15 @@ def any_accepted(d: Decoupler, most: float) -> dict[str, tuple[float, float]] | 
 
 def accepted_of(record: Mapping[str, Any]) -> Ends | None:
     """Return the ends that the record of a generated table says; None where it says none."""
-    listed = [*record.get("parameters", ()), *record.get("arrays", ())] if _lists(record) else []
-    found = {}
-    for entry in listed:
-        low, high = (
-            (entry.get(side) for side in ("least", "greatest")) if isinstance(entry, dict) else (None, None)
-        )
-        if not (isinstance(low, int | float) and isinstance(high, int | float)):
+    parts, found = [record.get(name, []) for name in ("parameters", "arrays")], {}
+    if not all(isinstance(part, list) for part in parts):
+        return None
+    for entry in (entry for part in parts for entry in part):
+        ends = [entry.get(side) for side in ("least", "greatest")] if isinstance(entry, dict) else [None]
+        if not all(isinstance(end, int | float) for end in ends):
             return None
-        found[str(entry.get("name"))] = (float(low), float(high))
+        found[str(entry.get("name"))] = (float(ends[0]), float(ends[1]))
     return found or None
-
-
-def _lists(record: Mapping[str, Any]) -> bool:
-    return all(isinstance(record.get(name, []), list) for name in ("parameters", "arrays"))
 
 
 def _by_unit(d: Decoupler) -> dict[str, float]:
@@ -213,26 +208,13 @@ def finite(d: Decoupler, ends: Ends, most: float, graphs: Sequence[Graph]) -> bo
             known[name] = Enclosure(-high, high)
         else:
             known[name] = Enclosure(ends[f"low_{name}"][0], ends[f"high_{name}"][1])
-    for step, own in zip(d.steps, graphs, strict=True):
-        every, found = _of_step(step, own, known)
+    for step, every, found in enclosed_steps(d.steps, graphs, known):
         if isinstance(step, Whole) and not (found.low > -1 and found.high < 2.0**32):
             return False
+        if step.most is not None:  # the value alone may be more
+            (end,) = enclose([ca.SX(step.most)], known, None)
+            known[step.name] = Enclosure(max(float(found.low), -end.high), min(float(found.high), end.high))
+            every = [e for e in every if e is not found]
         if not all(e.most < HEADROOM * most for e in every):  # not of one that is not a number either
             return False
-        if step.most is not None:
-            (end,) = enclose([ca.SX(step.most)], known, None)
-            found = Enclosure(max(float(found.low), -end.high), min(float(found.high), end.high))
-        known[step.name] = found
     return True
-
-
-def _of_step(step: Step, own: Graph, known: Mapping[str, Enclosure]) -> tuple[list[Enclosure], Enclosure]:
-    """Return the enclosure of each operation that must be finite, and of the step."""
-    if isinstance(step, Lookup):
-        return [], known[step.array.name]
-    every = enclosures(own, known)
-    found = every.pop(own.results[0]) if step.most is not None else every[own.results[0]]
-    if isinstance(step, Bits):
-        most = (1 << step.first) - 1 if step.below else (2**32 - 1) >> step.first
-        return every, Enclosure(0.0, float(most))
-    return every, found

@@ -8,7 +8,7 @@ import struct
 import textwrap
 import zlib
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import version
@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hallsym.codegen import faults, residual
+from hallsym.codegen import residual
 from hallsym.codegen.accepted import Ends, kept_ends
 from hallsym.codegen.bounds import Bounds
 from hallsym.codegen.decoupler import FAULT, Decoupler, flag_bit, short, unit
@@ -82,12 +82,17 @@ class Vectors:
 
 @dataclass(frozen=True, eq=False)
 class Stored:
-    """An entry of the table in C: a number () or a row (n,), little-endian; `note`: for the header."""
+    """An entry of the table in C: a number () or a row (n,), little-endian."""
 
     name: str
     values: np.ndarray
-    note: str
+    meaning: str
     unit: str = ""
+
+    @property
+    def note(self) -> str:
+        """What the header says of it."""
+        return f"[{self.unit}] {self.meaning}" if self.unit else self.meaning
 
     @property
     def member(self) -> str:
@@ -257,6 +262,8 @@ class Backend(ABC):
 
     tree: ClassVar[str]
     """Folder of templates."""
+    refused: ClassVar[str]
+    """Condition in C, counted, that a known pose is not refused."""
     why_ends: ClassVar[str]
     """What C says of the least and greatest values of a table."""
 
@@ -294,14 +301,6 @@ class Backend(ABC):
     @abstractmethod
     def _just_outside(self, name: str) -> list[str]:
         """Return, in C, the numbers next to the ends of an entry, and what is no number."""
-
-    def _ends_of(self, name: str) -> dict[str, float]:
-        """Return the ends of an entry, for the JSON form of the table."""
-        return dict(zip(("least", "greatest"), self.accepted[name], strict=True))
-
-    @abstractmethod
-    def _json(self) -> dict[str, Any]:
-        """Return what the JSON form of the table says of its numbers."""
 
     @abstractmethod
     def _literal(self, value: Any) -> str:
@@ -359,12 +358,18 @@ class Backend(ABC):
         crc, zeros_crc = (struct.pack("<I", value) for value in (self.crc, self.zeros_crc))
         return crc + self.covered + zeros_crc + bytes(self.pad) + _joined(self.offsets)
 
-    def json(self) -> str:
-        """Return the table as a readable record."""
+    def json(self, **more: Any) -> str:
+        """Return the table as a readable record; `more`: of an arithmetic alone."""
+        listed: dict[str, list[dict[str, Any]]] = {"parameters": [], "arrays": []}
+        for e in self.entries:
+            kind, value = ("arrays", "values") if e.values.ndim else ("parameters", "value")
+            about = {"unit": e.unit, "meaning": e.meaning} if e.unit else {"meaning": e.meaning}
+            ends = dict(zip(("least", "greatest"), self.accepted[e.name], strict=True))
+            listed[kind].append({"name": e.name, value: e.values.tolist(), **about, **ends})
         record = {
             "format": "hallsym decoupler parameters 1", "generator": f"hallsym {version('hallsym')}",
-            **self.record, "version": VERSION,
-            "layout": f"0x{self.layout:08x}", "crc32": f"0x{self.crc:08x}", "type": self.type, **self._json(),
+            **self.record, "version": VERSION, "layout": f"0x{self.layout:08x}", "crc32": f"0x{self.crc:08x}",
+            "type": self.type, **more, **{k: v for k, v in listed.items() if v},
         }  # fmt: skip
         return json_text(record) + "\n"
 
@@ -428,9 +433,40 @@ class Backend(ABC):
             })  # fmt: skip
         return out
 
+    @property
+    def said(self) -> Sequence[str]:
+        """Sentences for header and report."""
+        return (*self.decoupler.said, *self.decoupler.of_faults)
+
     @abstractmethod
-    def _fields(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, Any]:
+    def _fields(self, common: Mapping[str, Any]) -> dict[str, Any]:
         """Return the fields of the templates that are not the same for every arithmetic."""
+
+    @abstractmethod
+    def _input(self, port: Port, value: Any) -> str:
+        """Return a value of an input or output in C, whatever it is."""
+
+    def _vectors(self, more: Callable[[int], str] = lambda k: "") -> list[str]:
+        """Return the vectors of the self-test in C; `more`: before the status of one."""
+        found, out = self.vectors, []
+        for k in range(found.inputs.shape[1]):
+            inputs = ", ".join(map(self._input, self.inputs, found.inputs[:, k].tolist()))
+            status = f"0x{int(found.status[k]):X}UL"
+            out.append(f"{{{{{inputs}}}, {{{listed(found.pose[:, k])}}}, {more(k)}{status}}},")
+        return out
+
+    def _known(self, poses: Sequence[Sequence[str]], far: Mapping[str, Sequence[str]]) -> dict[str, Any]:
+        """The fields of zeros that the self-test takes, at `poses`, and of those that are refused.
+
+        `far`: by member of the pose, values in C that are refused, the last one is not.
+        """
+        none, refused = ["0U"] * self.decoupler.suspects, []
+        for member, values in far.items():
+            for k, value in enumerate(values, 1):
+                refused += [f"pose.{member} = {value};"]
+                refused += [f"bad += {self.refused};"] if k < len(values) else []
+        rows = [f"{{{', '.join([*pose, *none])}}}," for pose in poses]
+        return {"known_poses": len(rows), "known_rows": rows, "refused": refused}
 
     def files(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, str | bytes]:
         """Return the files of the folder by path; `errors`: largest met, `notes`: on the calibration."""
@@ -501,21 +537,54 @@ class Backend(ABC):
         return [self._literal(own(end)) for end in self.accepted[entry.name]]
 
     def _faults(self) -> Iterator[str]:
-        """Lines of C that make a table faulty, and ask whether that is found; or that leave it good."""
-        d = self.decoupler
-        yield from faults.of_words()
+        """Lines of C that make a fault in a table, or none, and ask whether `decoupler_check()` finds it.
+
+        Each table is sealed with new CRC, so that the test behind the CRC has to find the fault.
+        """
+        d, bad = self.decoupler, "DECOUPLER_BAD_"
+
+        def expect(*changes: str, faults: str = "0U") -> list[str]:
+            return [*changes, f"missed += unlike(&table, {faults});"]
+
+        version, layout = "table.version += 1U;", "table.layout ^= 1U;"
+        yield from expect(version, faults=f"{bad}VERSION")
+        yield from expect(layout, faults=f"{bad}LAYOUT")
+        yield from expect("table.length += 4U;", faults=f"{bad}LAYOUT")
+        yield from expect("table.calibration[0] ^= 1U;")
+        yield from expect(version, layout, faults=f"{bad}VERSION | {bad}LAYOUT")
         for e in self.entries:
             place = f"table.{e.name}[{len(e.values) - 1}]" if e.values.ndim else f"table.{e.name}"
-            bad, outside = self._found_bad_by(e), self._just_outside(e.name)
+            fault, outside = self._found_bad_by(e), self._just_outside(e.name)
             for value in outside:
-                yield from faults.expect([f"{place} = {value};"], bad)
-            for value in self._ends_in_c(e) if outside and not bad.endswith("LIMITS") else ():
-                yield from faults.expect([f"{place} = {value};"])
+                yield from expect(f"{place} = {value};", faults=fault)
+            for value in self._ends_in_c(e) if outside and not fault.endswith("LIMITS") else ():
+                yield from expect(f"{place} = {value};")
         values = {e.name: e.values.item() for e in self.numbers}
         zero = self._literal(0 * self.offsets[0].values.item())
-        yield from faults.of_limits(d, self.limited, zero, values, self.accepted)
-        beyond = [f"table.{e.name} = {v};" for e in self.offsets for v in self._just_outside(e.name)]
-        yield from faults.of_several(d, self.limited, beyond[:1])
+        swapped: list[list[str]] = []
+        for column in self.limited:  # an empty range, one of a single value, one of 0 and -0
+            limit, low, high = (f"{side}_{short(column)}" for side in ("limit", "low", "high"))
+            if d.box.symmetric(column):
+                swapped.append([f"table.{limit} = -decoupler_params.{limit};"])
+                for value in (f"-decoupler_params.{limit}", zero, f"-{zero}"):
+                    yield from expect(f"table.{limit} = {value};", faults=f"{bad}LIMITS")
+            else:
+                changes = [
+                    f"table.{low} = decoupler_params.{high};",
+                    f"table.{high} = decoupler_params.{low};",
+                ]
+                yield from expect(*changes, faults=f"{bad}LIMITS")
+                swapped.append(changes[::-1])
+                least, greatest = self.accepted[low]
+                yield from expect(
+                    changes[0], faults="0U" if least <= values[high] <= greatest else f"{bad}LIMITS"
+                )
+        beyond = [f"table.{e.name} = {v};" for e in self.offsets for v in self._just_outside(e.name)][:1]
+        kinds = (
+            ["VERSION"] + ["ZEROS"] * len(beyond) + ["LIMITS"] * bool(swapped)
+        )  # each has a bit of its own
+        several = [version, *beyond, *(swapped[0] if swapped else ())]
+        yield from expect(*several, faults=" | ".join(f"{bad}{kind}" for kind in kinds))
 
     def _checked(self, fields: Mapping[str, Any]) -> dict[str, Any]:
         """The step, and what it does where readings contradict one another.
@@ -574,7 +643,7 @@ class Backend(ABC):
             "zeros": [e.member for e in self.offsets],
         }
         raised = [sum(some) for some in product(*((0, flag_bit(k)) for k in range(len(d.flags))))]
-        return {
+        common = {
             "in": inputs,
             "limited": [i for i in inputs if self.inputs[i["index"]].column in self.limited],
             "out": outputs,
@@ -630,15 +699,22 @@ class Backend(ABC):
             "hashed": self.hashed[1],
             "hash_short": short_hash,
             "hash_long": long_hash,
+            "said": [f" * {line}" for text in self.said for line in textwrap.wrap(text, 110)],
+            "notes": "\n".join(f"- {commented(note)}" for note in (*self.said, *notes)),
             **self._check(),
-            **self._fields(errors, notes),
         }
+        return common | self._fields(common)
 
 
 def _record(k: int, port: Port) -> dict[str, Any]:
     cast = "(uint32_t)" if port.type == "uint32_t" else ""
     shown = {"column": commented(port.column), "name": short(port.column)}
     return {**vars(port), **shown, "number": k + 1, "index": k, "cast": cast}
+
+
+def listed(values: np.ndarray) -> str:
+    """Return numbers of the model in C, with 13 digits."""
+    return ", ".join(f"{v:.12e}" for v in values)
 
 
 def _small(value: float, column: str) -> str:

@@ -1,6 +1,6 @@
 """What can be said of the arithmetic over the whole box: least gains, size of the pose, rounding."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import prod
 from typing import Any
@@ -8,8 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.decoupler import Decoupler, Entry, Step, Whole, computed, of_step, short
-from hallsym.codegen.intervals import EXACT, TINY, Enclosure, constant, enclose, enclosures
+from hallsym.codegen.decoupler import Bits, Decoupler, Entry, Lookup, Step, Whole, computed, of_step, short
+from hallsym.codegen.intervals import EXACT, TINY, Enclosure, constant, enclosures
 from hallsym.codegen.operations import Graph, Operation, graph
 
 LEAST_GAIN = 0.1
@@ -77,9 +77,27 @@ def _entry(value: float, digits: int) -> Enclosure:
 
 
 def _enclosed(d: Decoupler, steps: Sequence[Step], digits: int) -> list[Enclosure]:
-    given = _given(d, digits)
-    _enclose_steps(steps, given, digits)
-    return [given[step.name] for step in steps]
+    graphs = [graph([step.expression]) for step in steps]
+    return [found for _, _, found in enclosed_steps(steps, graphs, _given(d, digits), digits)]
+
+
+def enclosed_steps(
+    steps: Sequence[Step], graphs: Sequence[Graph], known: dict[str, Enclosure], digits: int | None = None
+) -> Iterator[tuple[Step, list[Enclosure], Enclosure]]:
+    """Yield steps, the enclosures of their operations and of their values; add these to those `known`.
+
+    A row that is looked up, and bits, are anything that they can be.
+    """
+    for step, own in zip(steps, graphs, strict=True):
+        if isinstance(step, Lookup):
+            every, found = [], known[step.array.name]
+        else:
+            every = enclosures(own, known, digits)
+            found = every[own.results[0]]
+        if isinstance(step, Bits):
+            found = Enclosure(0.0, float((1 << step.first) - 1 if step.below else (2**32 - 1) >> step.first))
+        known[step.name] = found
+        yield step, every, found
 
 
 def _given(d: Decoupler, digits: int) -> dict[str, Enclosure]:
@@ -88,12 +106,6 @@ def _given(d: Decoupler, digits: int) -> dict[str, Enclosure]:
     return {d.symbols[c].name(): Enclosure(*(float(dtype(v)) for v in d.ends(c))) for c in d.inputs} | {
         d.symbols[e.name].name(): _entry(e.value, digits) for e in (*d.table, *d.offsets)
     }
-
-
-def _enclose_steps(steps: Sequence[Step], given: dict[str, Enclosure], digits: int) -> None:
-    """Add the enclosure of each step to those of what it is made of."""
-    for step in steps:
-        (given[step.name],) = enclose([step.expression], given, digits)
 
 
 CELLS = 512
@@ -117,19 +129,19 @@ def _errors_by_cells(d: Decoupler, digits: int) -> np.ndarray:
         later = {step.name for step in d.steps[k:]}
         crossing.append(sorted(set().union(*reads[k:]) - later))
     first = min(range(len(crossing)), key=lambda k: len(crossing[k]))
-    _enclose_steps(d.steps[:first], given, digits)
-    steps, names = d.steps[first:], crossing[first]
-    graphs = [graph([step.expression]) for step in steps]
+    graphs = [graph([step.expression]) for step in d.steps]
+    for _ in enclosed_steps(d.steps[:first], graphs[:first], given, digits):
+        pass
+    steps, graphs, names = d.steps[first:], graphs[first:], crossing[first]
     before = {name: float(e.error) for name, e in given.items()}
 
     def bounded(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        known, worked = dict(given), []
-        for name, least, greatest in zip(names, low, high, strict=True):
-            known[name] = Enclosure(least, greatest, before[name])
-        for step, own in zip(steps, graphs, strict=True):
-            values = enclosures(own, known, digits)
-            known[step.name] = values[own.results[0]]
-            worked.append([Enclosure(v.low - v.error, v.high + v.error) for v in values])
+        ends = zip(names, low, high, strict=True)
+        known = given | {name: Enclosure(*both, before[name]) for name, *both in ends}
+        worked = [
+            [Enclosure(v.low - v.error, v.high + v.error) for v in values]
+            for _, values, _ in enclosed_steps(steps, graphs, known, digits)
+        ]
         with np.errstate(all="ignore"):  # what grows without end is bounded by nothing
             return np.array(_errors(steps, graphs, worked, before, digits, len(d.pose)))
 

@@ -1,6 +1,5 @@
 """The files of a decoupler in float or double."""
 
-import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen import accepted, backend, residual
-from hallsym.codegen.backend import COUNT, VERSION, Backend, Port, Stored, ends
+from hallsym.codegen.backend import COUNT, VERSION, Backend, Port, Stored, ends, listed
 from hallsym.codegen.bounds import Bounds, pose_bounds, step_errors
 from hallsym.codegen.cost import firmware_cost
 from hallsym.codegen.decoupler import ROOT, Array, Decoupler, Entry, Step, short, steps_on_arrays, unit
@@ -91,6 +90,7 @@ class FloatBackend(Backend):
     jacobian: bool = False
 
     tree: ClassVar[str] = "float"
+    refused: ClassVar[str] = "not_refused(in, &pose, DECOUPLER_STATUS_KNOWN)"
     why_ends: ClassVar[str] = "every table within these ends gives finite numbers, by interval arithmetic"
 
     @property
@@ -236,7 +236,7 @@ class FloatBackend(Backend):
 
         def stored(e: Entry | Array) -> Stored:
             values = (e.values, "<i2" if e.integers else dtype) if isinstance(e, Array) else (e.value, dtype)
-            return Stored(e.name, np.array(*values), f"[{e.unit}] {e.meaning}", e.unit)
+            return Stored(e.name, np.array(*values), e.meaning, e.unit)
 
         every: tuple[Entry | Array, ...] = (*d.table, *d.limits, *d.arrays, *d.offsets)
         return [stored(e) for e in every]
@@ -255,18 +255,6 @@ class FloatBackend(Backend):
         lines += [f"{a.name}[{len(a.values)}] {a.unit} {a.integers}" for a in d.arrays]
         lines += statements([replace(step, remark="") for step in d.steps], {}, self.real, {})
         return crc32("\n".join(lines).encode())
-
-    def _json(self) -> dict[str, Any]:
-        d = self.decoupler
-        numbers = [
-            {"name": e.name, "value": float(self.real.dtype(e.value)), "unit": e.unit, "meaning": e.meaning}
-            | self._ends_of(e.name)
-            for e in d.entries
-        ]
-        rows = [
-            {k: v for k, v in vars(a).items() if k != "integers"} | self._ends_of(a.name) for a in d.arrays
-        ]
-        return {"parameters": numbers} | ({"arrays": rows} if rows else {})
 
     def _literal(self, value: Any) -> str:
         return str(value) if isinstance(value, int) else self.real.constant(value)
@@ -299,22 +287,20 @@ class FloatBackend(Backend):
     def _beyond(self, value: float) -> str:
         return self._literal(float(np.float32(value * 1.0001)) + (1e-12 if value > 0 else -1e-12))
 
-    def _fields(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, Any]:
+    def _fields(self, common: Mapping[str, Any]) -> dict[str, Any]:
         d, c = self.decoupler, self.real.constant
         work, slopes = firmware_cost(d), self.slopes.records() if self.jacobian else []
         least = self.bounds.least_gain
         gains = [{"column": commented(column), "share": f"{v:.4f}"} for column, v in least.items()]
         common = {
+            **common,
             "real": self.type,
             **backend.taken(d),
             "builtin_fabs": self.real.fabs,
             "zero": c(0.0),
             "one": c(1.0),
             "ieee": lines_of(f"{FRAGMENTS}ieee.c", {}),
-            "out": self._outputs(errors),
-            "in": self._inputs(),
             "slope": slopes,
-            "quantity": d.quantity,
             "slope_units": ", ".join(dict.fromkeys(record["unit"] for record in slopes)),
             # build files
             "deviations": [
@@ -328,7 +314,6 @@ class FloatBackend(Backend):
             "eva_slopes": self._if_jacobian("eva_slopes.c"),
             "every_table": list(self._every_table()),
             # report
-            "notes": "\n".join(f"- {commented(note)}" for note in (*d.said, *d.of_faults, *notes)),
             "least_gains": lines_of(f"{FRAGMENTS}least_gains.md", {"gain": gains}) if gains else [],
             "arithmetic": [f"    {s.name} = {s.expression}" for s in d.steps]
             if len(d.steps) <= MOST_STEPS
@@ -364,7 +349,6 @@ class FloatBackend(Backend):
             "reading_units": units(d.model.channels),
             "state_units": f" and state [{units(d.model.state)}]" if d.model.state else "",
             "pose_units": units(d.pose),
-            "said": [f" * {line}" for text in (*d.said, *d.of_faults) for line in textwrap.wrap(text, 110)],
             "known": ", ".join(dict.fromkeys(f"{d.known(c):.6g} {unit(c)}" for c in d.pose)),
             "jacobian_type": self._if_jacobian("jacobian_type.h", common),
             "jacobian_function": self._if_jacobian("jacobian.h", common),
@@ -493,7 +477,7 @@ class FloatBackend(Backend):
             np.nextafter(real(end), real(k * np.inf))
             for end, k in zip(self.accepted[name], (-1, 1), strict=True)
         ]
-        return [self._input(float(value)) for value in (np.nan, np.inf, -np.inf, *just)]
+        return [self._input(self.inputs[0], float(value)) for value in (np.nan, np.inf, -np.inf, *just)]
 
     # -- self-test and proofs ------------------------------------------------------------------------------
 
@@ -505,15 +489,8 @@ class FloatBackend(Backend):
             errors = self.slopes.errors(self.real)
             # the reference is computed in double and written with 13 digits
             limits = [error + 1e-12 * np.abs(row).max() for error, row in zip(errors, slopes, strict=True)]
-            listed = ", ".join(f"{limit:.3e}" for limit in limits)
-            slope_bounds = [f"static const double decoupler_slope_bounds[{len(limits)}] = {{{listed}}};"]
-        rows = []
-        for k in range(found.inputs.shape[1]):
-            inputs = ", ".join(self._input(float(v)) for v in found.inputs[:, k])
-            slope = f"{{{_listed(slopes[:, k])}}}, " if self.jacobian else ""
-            rows.append(
-                f"{{{{{inputs}}}, {{{_listed(found.pose[:, k])}}}, {slope}0x{int(found.status[k]):X}UL}},"
-            )
+            shown = ", ".join(f"{limit:.3e}" for limit in limits)
+            slope_bounds = [f"static const double decoupler_slope_bounds[{len(limits)}] = {{{shown}}};"]
         own = "wanted->status"
         if self.decoupler.flags:  # of the inputs alone: a slope looks at no flag
             own = f"(wanted->status & 0x{sum(set(self.decoupler.input_bits)):08X}UL)"
@@ -523,7 +500,7 @@ class FloatBackend(Backend):
             "that_the_model_gives": "that the model gives",
             "vector_includes": ["#include <math.h>", ""],
             "slope_bounds": slope_bounds,
-            "rows": rows,
+            "rows": self._vectors(lambda k: f"{{{listed(slopes[:, k])}}}, " if self.jacobian else ""),
             "word": lines_of(f"{FRAGMENTS}word_{size}.c", {}),
             "wild": lines_of(f"{FRAGMENTS}wild_{size}.c", {}),
             "scale": c(2.0**-24),
@@ -535,7 +512,7 @@ class FloatBackend(Backend):
             "flag_includes": ["#include <float.h>"] if self.decoupler.flags else [],
             "near": c(self._near),
             "at_known": c(2.0**-12),
-            **self._known(),
+            **self._known(*self._zeros()),
             "fault_includes": ["#include <float.h>", "#include <math.h>"],
             "faults": list(self._faults()),
         }
@@ -555,26 +532,21 @@ class FloatBackend(Backend):
         d = self.decoupler
         return 8 * 2.0**-self.real.digits * max(2.0 * d.known(c) for c in d.pose) + 10 * d.slack
 
-    def _known(self) -> dict[str, Any]:
+    def _zeros(self) -> tuple[list[list[str]], dict[str, list[str]]]:
+        """Poses at which a zero is taken, in C, and by member what is refused; see `_known`."""
         d, c = self.decoupler, self.real.constant
-        most = [d.known(p) for p in d.pose]
         ends = (2.0**-12, -(2.0**-12)) if d.at_pose else (2.0**-12, 1.0, -1.0)  # non-linear models: near rest
-        none = ["0U"] if d.suspects else []
-        rows = [", ".join([*(c(share * m) for m in most), *none]) for share in ends]
-        refused: list[str] = []
-        for port in self.outputs:
-            far = d.known(port.column) * 1.0001
-            for value in (c(far), f"-{c(far)}", self._input(np.nan)):
-                refused += [f"pose.{port.member} = {value};"]
-                refused += ["bad += not_refused(in, &pose, DECOUPLER_STATUS_KNOWN);"]
-            refused.append(f"pose.{port.member} = {c(0.0)};")
-        return {"known_poses": len(rows), "known_rows": [f"{{{row}}}," for row in rows], "refused": refused}
+        far = {
+            p.member: [*(self._input(p, k * d.known(p.column) * 1.0001) for k in (1, -1, np.nan)), c(0.0)]
+            for p in self.outputs
+        }
+        return [[c(share * d.known(p)) for p in d.pose] for share in ends], far
 
     @property
     def _most(self) -> str:
         return "FLT_MAX" if self.real.size == 4 else "DBL_MAX"
 
-    def _input(self, value: float) -> str:
+    def _input(self, port: Port, value: Any) -> str:
         cast = "" if self.real.size == 4 else "(double)"  # math.h has them as float
         if np.isfinite(value):
             return self.real.constant(value)
@@ -602,7 +574,3 @@ class FloatBackend(Backend):
             for i, port in zip(common["in"], self.inputs, strict=True)
         ]
         return {"every": every, "range_tests": tests}
-
-
-def _listed(values: np.ndarray) -> str:
-    return ", ".join(f"{v:.12e}" for v in values)

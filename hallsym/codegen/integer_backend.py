@@ -1,6 +1,5 @@
 """The files of a decoupler in 32-bit integers, for a controller without a floating-point unit."""
 
-import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -35,6 +34,7 @@ class IntegerBackend(Backend):
     program: Program
 
     tree: ClassVar[str] = "q31"
+    refused: ClassVar[str] = "(decoupler_zero(&table, in, &pose) == DECOUPLER_STATUS_KNOWN) ? 0U : 1U"
     why_ends: ClassVar[str] = "with gains within these ends none comes to nothing"
     hashed = (4096, 100_000)
     batch: ClassVar[int] = 1 << 62
@@ -208,24 +208,6 @@ class IntegerBackend(Backend):
         rows += [f"left {name}" for name in p.left]
         return crc32("\n".join(rows).encode())
 
-    def _json(self) -> dict[str, Any]:
-        numbers = [
-            {"name": e.name, "value": int(e.values), "meaning": e.note, **self._ends_of(e.name)}
-            for e in self.numbers
-        ]
-        rows = [
-            {
-                "name": a.name,
-                "values": a.values.tolist(),
-                "unit_turn": 2.0 ** (a.shift - 32),
-                **self._ends_of(a.name),
-            }
-            for a in self.program.arrays.values()
-        ]
-        if len(self.program.root):
-            rows.append({"name": ROOT, "values": self.program.root.tolist(), **self._ends_of(ROOT)})
-        return {"exponents": self.exponents, "parameters": numbers} | ({"arrays": rows} if rows else {})
-
     def _literal(self, value: Any) -> str:
         return _integer(int(value), False)
 
@@ -248,7 +230,16 @@ class IntegerBackend(Backend):
         p, c = self.program, port.column
         return {"line": p.outputs[c][0], "at_known": _integer(4096, c in p.angles)}
 
-    def _fields(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, Any]:
+    @property
+    def said(self) -> Sequence[str]:
+        """Those of the program."""
+        return (*self.program.said, *self.decoupler.of_faults)
+
+    def json(self, **more: Any) -> str:
+        """With the exponents."""
+        return super().json(exponents=self.exponents, **more)
+
+    def _fields(self, common: Mapping[str, Any]) -> dict[str, Any]:
         p, d = self.program, self.decoupler
         prefix = {**dict.fromkeys(p.inputs, "DECOUPLER_"), **dict.fromkeys(p.outputs, "DECOUPLER_OUT_")}
         scales = []
@@ -260,21 +251,20 @@ class IntegerBackend(Backend):
                     "step": repr(2.0**-e), "column": commented(c.column), "unit": c.unit,
                     "input": c.column in p.inputs,
                 })  # fmt: skip
-        said = [f" * {line}" for text in (*p.said, *d.of_faults) for line in textwrap.wrap(text, 110)]
         of_angles = []
         if p.angles:
             bam, words = self._bam
             of_angles = [f"#define DECOUPLER_RAD_PER_BAM {bam!r} /**< binary angles: {words} */"]
             of_angles += lines_of(f"{FRAGMENTS}angle_conversions.h", {"per_rad": repr(1 / bam)})
         common = {
-            "out": self._outputs(errors),
+            **common,
             # header
             "scaled": scales,
             "scaledinput": [s for s in scales if s["input"]],
             "conversions": lines_of(f"{FRAGMENTS}conversions.h", {"largest": LARGEST}) if scales else [],
             "no_bits": [] if self.limited or d.flags else [""],
             "rad_per_bam": of_angles,
-            "said": [*lines_of(f"{FRAGMENTS}binary_angles.txt", {}), *said] if p.angles else said,
+            "said": [*(lines_of(f"{FRAGMENTS}binary_angles.txt", {}) if p.angles else ()), *common["said"]],
             "known_bit": [] if p.angles else [KNOWN_BIT],
             # build files
             "deviations": [
@@ -285,7 +275,6 @@ class IntegerBackend(Backend):
             "cpu": "-mcpu=cortex-m0 -mthumb",
             "machine": "microbit",
             # report
-            "notes": "\n".join(f"- {commented(note)}" for note in (*p.said, *d.of_faults, *notes)),
             "operations": len(p.lines),
             "products": sum(line.operation == "mul" for line in p.lines),
             "pose_names": ", ".join(short(c) for c in d.pose),
@@ -318,7 +307,7 @@ class IntegerBackend(Backend):
         zero = "take_zero_of_angle.c" if p.angles else "take_zero.c"
         can_fail = bool(self.limited or d.flags)
         secant = {
-            **common, "real": "int32_t", "zero": "0", "wide": "int64_t", "in": self._inputs(),
+            **common, "real": "int32_t", "zero": "0", "wide": "int64_t",
             "first": f"-{residual.NUDGED}", "moved": "in_32_bits((int64_t)value - step)",
             "along": "(now == last) ? 0 : ((now * ((int64_t)value - before)) / ((int64_t)now - last))",
             "converts": lines_of(f"{FRAGMENTS}in_32_bits.c", {}), "fault": backend.FAULTY,
@@ -341,20 +330,23 @@ class IntegerBackend(Backend):
     # -- self-test and proofs ------------------------------------------------------------------------------
 
     def _selftest(self) -> dict[str, Any]:
-        p, found = self.program, self.vectors
-        binary = [port.column in p.angles for port in self.inputs]
-        rows = [
-            f"{{{{{', '.join(map(_integer, found.inputs[:, k], binary))}}}, "
-            f"{{{', '.join(f'{v:.12e}' for v in found.pose[:, k])}}}, 0x{int(found.status[k]):X}UL}},"
-            for k in range(found.inputs.shape[1])
-        ]
+        angles = [port.column in self.program.angles for port in self.outputs]
+        tried = [[0x7FFFFFFF if angle else KNOWN for angle in angles]]
+        tried += [[0x80000001 if angle else -KNOWN for angle in angles], [4096] * len(angles)]
+        far = {
+            port.member: [str(KNOWN + 1), str(-KNOWN - 1), "0"]
+            for port, angle in zip(self.outputs, angles, strict=True)
+            if not angle
+        }
+        known = self._known([list(map(self._input, self.outputs, row)) for row in tried], far)
+        known["refused"] = ["decoupler_out_t pose = {0};"] * (not all(angles)) + known["refused"]
         return {
             "that_the_model_gives": "[SI] of the model",
             "vector_includes": [],
             "slope_bounds": [],
-            "rows": rows,
+            "rows": self._vectors(),
             **self._flags_raised(str(MOST)),
-            **self._known(),
+            **known,
             "fault_includes": [],
             "ieee": [],
             "faults": list(self._faults()),
@@ -364,20 +356,8 @@ class IntegerBackend(Backend):
     def _left(self) -> Sequence[str]:
         return self.program.left
 
-    def _known(self) -> dict[str, Any]:
-        p = self.program
-        angles = [port.column in p.angles for port in self.outputs]
-        tried = [[0x7FFFFFFF if angle else KNOWN for angle in angles]]
-        tried += [[0x80000001 if angle else -KNOWN for angle in angles], [4096] * len(angles)]
-        none = ["0U"] * self.decoupler.suspects
-        rows = [f"{{{', '.join([*map(_integer, row, angles), *none])}}}," for row in tried]
-        refused = ["decoupler_out_t pose = {0};"] if not all(angles) else []
-        for port, angle in zip(self.outputs, angles, strict=True):
-            for value in () if angle else (KNOWN + 1, -KNOWN - 1):
-                refused += [f"pose.{port.member} = {value};"]
-                refused += ["bad += (decoupler_zero(&table, in, &pose) == DECOUPLER_STATUS_KNOWN) ? 0U : 1U;"]
-            refused += [] if angle else [f"pose.{port.member} = 0;"]
-        return {"known_poses": len(rows), "known_rows": rows, "refused": refused}
+    def _input(self, port: Port, value: Any) -> str:
+        return _integer(int(value), port.column in self.program.angles)
 
     def _proofs(self) -> dict[str, Any]:
         """Every divisor through its reciprocal, and the arithmetic for Frama-C EVA.
