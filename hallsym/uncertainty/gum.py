@@ -10,7 +10,7 @@ in its key; a curve that the machine follows adds its error.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf, isfinite, sqrt
@@ -28,6 +28,13 @@ from hallsym.trajectory import Curve
 
 DIVISORS = {"rectangular": sqrt(3.0), "triangular": sqrt(6.0), "arcsine": sqrt(2.0)}
 """Half-width over standard uncertainty: JCGM 100, 4.3.7 and 4.3.9; JCGM 101, 6.4.6 (arcsine, U-shaped)."""
+QUANTILES: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
+    "rectangular": lambda u: 2 * u - 1,
+    "triangular": lambda u: np.where(u < 0.5, np.sqrt(2 * u) - 1, 1 - np.sqrt(2 * (1 - u))),
+    "arcsine": lambda u: -np.cos(np.pi * u),
+    "normal": lambda u: ndtri(np.clip(u, 1e-12, 1 - 1e-12)),
+}
+"""Inverse of the distribution function, over the half-width, of a normal one over 1 sigma."""
 DISTRIBUTIONS = ("normal", "student", *DIVISORS)
 
 
@@ -91,12 +98,7 @@ class Source:
             return self.std * rng.standard_t(self.degrees_of_freedom, n)
         if self.distribution == "normal":
             return self.std * rng.standard_normal(n)
-        half = self.std * DIVISORS[self.distribution]
-        if self.distribution == "rectangular":
-            return rng.uniform(-half, half, n)
-        if self.distribution == "triangular":
-            return half * (rng.random(n) - rng.random(n))
-        return half * np.sin(2 * np.pi * rng.random(n))
+        return self.std * DIVISORS[self.distribution] * QUANTILES[self.distribution](rng.random(n))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -124,8 +126,15 @@ class Budget(Shown):
         require(isfinite(k) and k > 0, f"Coverage factor of {self.quantity}", "a positive number", k)
         wanted = "a probability between 0 and 1, such as 0.95"
         require(level is None or 0 < level < 1, f"Level of {self.quantity}", wanted, level)
-        if self.correlation is not None:
-            _check_correlation(self.correlation, len(self.sources), self.quantity)
+        if (matrix := self.correlation) is None:
+            return
+        n = len(self.sources)
+        good = matrix.shape == (n, n) and np.all(np.isfinite(matrix)) and np.allclose(matrix, matrix.T)
+        if not (good and np.allclose(np.diag(matrix), 1.0) and np.linalg.eigvalsh(matrix).min() >= -1e-8):
+            raise InputError(
+                f"Correlations of {self.quantity} must be coefficients from -1 to 1 that can hold together "
+                "(a positive semi-definite matrix); check their signs and sizes."
+            )
 
     @cached_property
     def contributions(self) -> np.ndarray:
@@ -226,15 +235,6 @@ def students(level: float, degrees_of_freedom: float | np.ndarray) -> np.ndarray
     half, dof = 0.5 + 0.5 * level, np.asarray(degrees_of_freedom)
     few = np.maximum(np.floor(np.minimum(dof, 1e9)), 1.0)
     return np.where(np.isfinite(dof), stdtrit(few, half), ndtri(half))
-
-
-def _check_correlation(matrix: np.ndarray, n: int, quantity: str) -> None:
-    good = matrix.shape == (n, n) and np.all(np.isfinite(matrix)) and np.allclose(matrix, matrix.T)
-    if not (good and np.allclose(np.diag(matrix), 1.0) and np.linalg.eigvalsh(matrix).min() >= -1e-8):
-        raise InputError(
-            f"Correlations of {quantity} must be coefficients from -1 to 1 that can hold together "
-            "(a positive semi-definite matrix); check their signs and sizes."
-        )
 
 
 # -- a curve that the machine follows ----------------------------------------------------------------------

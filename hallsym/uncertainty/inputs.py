@@ -216,8 +216,8 @@ def _all_inputs(fit: Fit, settings: Settings) -> Iterator[Input]:
         ]
     for make, text, columns, std, places in listed:
         for k, column in enumerate(columns):
-            unit = "1" if places == ("scale",) else _unit(column)
-            source = make(text.format(word(column)), std.get(column, 0.0), unit)
+            unit = "" if places == ("scale",) else si_unit(column)
+            source = make(text.format(split_unit(column)[0]), std.get(column, 0.0), unit or "1")
             yield Input(source, tuple((place, k) for place in places))
 
 
@@ -306,16 +306,6 @@ def _gain_slopes(model: Model) -> Callable[..., list[np.ndarray]]:
     gain = s.full(s.gain)
     outputs = [ca.densify(gain), ca.densify(ca.jacobian(gain, s.parameters))]
     return on_arrays(ca.Function("gain_slopes", [s.parameters, s.state], outputs))
-
-
-def _unit(column: str) -> str:
-    unit = split_unit(column)[1]
-    return unit.si if unit else "1"
-
-
-def word(column: str) -> str:
-    """`hall_a_m` is hall_a, `z_m` is z."""
-    return split_unit(column)[0]
 
 
 # -- model error, from a diagnosis -------------------------------------------------------------------------
@@ -445,24 +435,15 @@ def read_model_error(path: str | Path, model: Model) -> ModelError:
             "diagnose the log with that model."
         )
     try:
-        return _read(data, model)
+        said, curve = data["model_error"], (data.get("unexplained") or {}).get("curve")
+        tried = [(adapted(plain(model), tuple(c["effects"]), {}), c) for c in said["candidates"]]
+        return ModelError(
+            rest={c: float(v) for c, v in said["rest"].items()},
+            shape=_shape(curve, model) if curve and said["shape_counts"] else None,
+            candidates=tuple(Candidate(m, m.vector(c["values"]), float(c["weight"])) for m, c in tried),
+        )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"The model error in {name} cannot be read ({error!r}); diagnose again.") from error
-
-
-def _read(data: Mapping[str, Any], model: Model) -> ModelError:
-    said = data["model_error"]
-    curve = (data.get("unexplained") or {}).get("curve")
-    return ModelError(
-        rest={c: float(v) for c, v in said["rest"].items()},
-        shape=_shape(curve, model) if curve and said["shape_counts"] else None,
-        candidates=tuple(_candidate(c, model) for c in said["candidates"]),
-    )
-
-
-def _candidate(said: Mapping[str, Any], model: Model) -> Candidate:
-    own = adapted(plain(model), tuple(said["effects"]), {})
-    return Candidate(own, own.vector(said["values"]), float(said["weight"]))
 
 
 def _shape(curve: Mapping[str, Any], model: Model) -> Shape:

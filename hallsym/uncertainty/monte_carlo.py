@@ -138,7 +138,9 @@ def propagate(
     parts: list[np.ndarray] = []
     rows: list[np.ndarray] = []
     for n in sizes:
-        parts.append(_results(measure, rng, n))
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            values = np.atleast_2d(measure(rng, n))
+        parts.append(np.where(np.isfinite(values), values, np.finfo(float).max ** 0.25))
         rows.append(_summary(parts[-1], level))
         if trials is None and len(rows) > 1:
             wanted = np.array([tolerance(u, digits) for u in np.mean(rows, axis=0)[1]])
@@ -163,12 +165,6 @@ def propagate(
 def _scatter(rows: Sequence[np.ndarray]) -> np.ndarray:
     """Return the standard deviation of the mean of `_summary` over the parts, (4, n_outputs)."""
     return np.asarray(np.std(rows, axis=0, ddof=1) / np.sqrt(len(rows)))
-
-
-def _results(measure: Measure, rng: np.random.Generator, n: int) -> np.ndarray:
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        values = np.atleast_2d(measure(rng, n))
-    return np.where(np.isfinite(values), values, np.finfo(float).max ** 0.25)
 
 
 def _summary(values: np.ndarray, level: float) -> np.ndarray:

@@ -1,18 +1,17 @@
 """Tolerances: range and distribution of each parameter about its nominal value."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtri
 
 from hallsym.errors import InputError, nearest, require
 from hallsym.model import Model, Parameter
 from hallsym.toml import Table, positive
-from hallsym.uncertainty.gum import DIVISORS
+from hallsym.uncertainty.gum import DIVISORS, QUANTILES
 from hallsym.units import UNITS
 
 EXACT, USUAL = "exact", "usual"
@@ -43,19 +42,7 @@ class Tolerance:
 
     def at(self, u: np.ndarray) -> np.ndarray:
         """Return the values at probabilities `u` in [0, 1): the inverse of the distribution function."""
-        return self.centre + self.width * _QUANTILES[self.distribution](u)
-
-
-def _triangle(u: np.ndarray) -> np.ndarray:
-    return np.where(u < 0.5, np.sqrt(2 * u) - 1, 1 - np.sqrt(2 * (1 - u)))
-
-
-_QUANTILES: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
-    "rectangular": lambda u: 2 * u - 1,
-    "triangular": _triangle,
-    "arcsine": lambda u: -np.cos(np.pi * u),
-    "normal": lambda u: ndtri(np.clip(u, 1e-12, 1 - 1e-12)),
-}
+        return self.centre + self.width * QUANTILES[self.distribution](u)
 
 
 def default_tolerances(model: Model) -> tuple[Tolerance, ...]:
@@ -65,16 +52,15 @@ def default_tolerances(model: Model) -> tuple[Tolerance, ...]:
     a tolerance is a deviation from the design: its width is Table 3's, its centre the nominal value.
     A fixed parameter is exact. Raises `InputError` for infinite bounds.
     """
-    usual = {p.name: _usual(model, p) for p in model.parameters}
+    out = []
     for p in model.parameters:
-        if usual[p.name] is None and not np.isfinite(p.width):
+        usual = _usual(model, p)
+        if usual is None and not np.isfinite(p.width):
             raise InputError(
                 f"Parameter {p.name} of {model.name} has no finite bounds to take a tolerance from; give one."
             )
-    return tuple(
-        usual[p.name] or Tolerance(p.name, p.unit, p.nominal, p.nominal, p.width / 2, source="bounds")
-        for p in model.parameters
-    )
+        out.append(usual or Tolerance(p.name, p.unit, p.nominal, p.nominal, p.width / 2, source="bounds"))
+    return tuple(out)
 
 
 def _usual(model: Model, parameter: Parameter) -> Tolerance | None:
@@ -135,23 +121,19 @@ def _tolerance(model: Model, key: str, value: Any, where: str) -> Tolerance:
         return whole
     factor = _factor(parameter, suffix, key, where)
     if isinstance(value, list):
-        low, high = _limits(value, key, where)
+        limits, wanted = Table({key: value}, where).numbers(key), "[low, high], low < high"
+        require(len(limits) == 2 and limits[0] < limits[1], f"Limits of {key} in {where}", wanted, value)
+        low, high = limits
         return replace(whole, centre=(low + high) * factor / 2, width=(high - low) * factor / 2)
+    size, distribution = value, "rectangular"
     if isinstance(value, Mapping):
-        size, distribution = _table(value, key, where)
-    else:
-        size, distribution = value, "rectangular"
+        entry = Table(value, f"tolerance {key} of {where}", ("half_width", "std", "distribution"))
+        sizes = [name for name in ("half_width", "std") if name in entry]
+        if len(sizes) != 1:
+            raise InputError(f"Tolerance {key} in {where} must have half_width or std, one of them.")
+        allowed = ("normal",) if sizes[0] == "std" else tuple(DIVISORS)
+        size, distribution = value[sizes[0]], entry.choice("distribution", allowed, allowed[0])
     return replace(whole, width=positive(size, key, where) * factor, distribution=distribution)
-
-
-def _table(value: Mapping[str, Any], key: str, where: str) -> tuple[Any, str]:
-    """Size and distribution of `{ half_width = 20, distribution = "triangular" }` or `{ std = 10 }`."""
-    entry = Table(value, f"tolerance {key} of {where}", ("half_width", "std", "distribution"))
-    sizes = [name for name in ("half_width", "std") if name in entry]
-    if len(sizes) != 1:
-        raise InputError(f"Tolerance {key} in {where} must have half_width or std, one of them.")
-    allowed = ("normal",) if sizes[0] == "std" else tuple(DIVISORS)
-    return value[sizes[0]], entry.choice("distribution", allowed, allowed[0])
 
 
 def read_value(model: Model, text: str, where: str) -> tuple[str, float]:
@@ -211,10 +193,3 @@ def _factor(parameter: Parameter, suffix: str, key: str, where: str, what: str =
             f"{what} {key!r} in {where} must end with a unit of {parameter.name}: one of {listed}."
         )
     return known[suffix]
-
-
-def _limits(value: list, key: str, where: str) -> tuple[float, float]:
-    limits = Table({key: value}, where).numbers(key)
-    wanted = "[low, high], low < high"
-    require(len(limits) == 2 and limits[0] < limits[1], f"Limits of {key} in {where}", wanted, value)
-    return limits[0], limits[1]
