@@ -119,7 +119,7 @@ def _position(options: Namespace) -> int:
         found = uncertainty.position_monte_carlo(fit, at, settings, **_trials(options))
     mapped = options.range or (options.plots and recorded)
     grid = _map(options, fit, settings, at, recorded) if mapped else None
-    spots = recorded.where if recorded else {c: grid.worst(c)[0] for c in fit.model.pose} if grid else {}
+    spots = recorded.where if recorded else grid.recorded.where if grid else {}
     worst = {c: _budgets(fit, spot, settings, curve)[c] for c, spot in spots.items()}
     record = {
         "calibration": str(options.file),
@@ -139,7 +139,7 @@ def _position(options: Namespace) -> int:
     basis = f"fit covariance: {fit.covariance_record.method}"
     more: list[Block | str] = [comparison_table(list(found.values()))] if found else []
     more += [recorded_table(recorded, f"U ({coverage}), recorded workspace")] if recorded else []
-    more += [recorded_table(grid.over(), f"U ({coverage}), map")] if grid and options.range else []
+    more += [recorded_table(grid.recorded, f"U ({coverage}), map")] if grid and options.range else []
     said_of = position_content(budgets, place, basis, more)
     common.say(options, record, lambda: said_of, notes=said, wrote=pictures)
     return NOT_DETERMINED if fit.undetermined_by_log else OK

@@ -1,6 +1,6 @@
 """Admissible recordings: ranges of the axes, clock, time, frequencies (docs/plan.md), and the runs within."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import combinations, product
 from pathlib import Path
@@ -10,7 +10,7 @@ import numpy as np
 from hallsym.errors import InputError, require
 from hallsym.families import axes, published
 from hallsym.model import Model
-from hallsym.simulation import MOST_SAMPLES, Run, Signal, noise_table, sine
+from hallsym.simulation import MOST_SAMPLES, Run, noise_table, sine
 from hallsym.toml import Table, positive
 from hallsym.units import readable
 
@@ -188,15 +188,6 @@ class Candidate:
     trajectory: str
 
 
-@dataclass(frozen=True, eq=False)
-class _Motion:
-    """Signals by axis, how far each axis goes from the middle, and the name of the trajectory."""
-
-    name: str
-    signals: Mapping[str, Signal]
-    reach: Mapping[str, float]
-
-
 def candidates(ranges: Ranges, model: Model) -> tuple[Candidate, ...]:
     """Return every run of `model` that the ranges allow; raises `InputError` when there is none.
 
@@ -205,13 +196,15 @@ def candidates(ranges: Ranges, model: Model) -> tuple[Candidate, ...]:
     _check_axes(ranges, model)
     found: list[Candidate] = []
     steady = [axis for axis in model.state if axis in ranges.box]
-    for motion in _motions(ranges, model):
+    for pairs in _motions(ranges, model):
+        signals = {axis: sine(ranges.place(axis)[1], f) for axis, f in pairs}
+        motion = ", ".join(f"{_axis(axis)} {f:g} Hz" for axis, f in pairs)
         for setting in _settings(ranges, model):
-            if not any(_touches(zone, setting, motion) for zone in ranges.excluded):
+            if not any(_touches(zone, setting, signals, ranges) for zone in ranges.excluded):
                 place = {axis: value for axis, value in setting.items() if value or axis in steady}
-                words = _words(place, motion, model)
-                run = Run(ranges.seconds_per_run, place, motion.signals, name=f"{words}; {motion.name}")
-                found.append(Candidate(run, words, motion.name))
+                words = _words(place, signals, model)
+                run = Run(ranges.seconds_per_run, place, signals, name=f"{words}; {motion}")
+                found.append(Candidate(run, words, motion))
             if len(found) > MOST_CANDIDATES:
                 raise InputError(
                     f"These ranges make more than {MOST_CANDIDATES} candidate runs; lower 'levels'."
@@ -251,23 +244,13 @@ def _check_axes(ranges: Ranges, model: Model) -> None:
         )
 
 
-def _motions(ranges: Ranges, model: Model) -> Iterator[_Motion]:
+def _motions(ranges: Ranges, model: Model) -> Iterator[list[tuple[str, float]]]:
+    """Axes that move together, each with its frequency."""
     moving = [axis for axis in model.pose if ranges.place(axis)[1] > 0]
     f, wanted = ranges.frequencies_hz, ranges.trajectories
-    if "one-axis" in wanted:
-        for axis in moving:
-            yield _sines(ranges, (axis,), f)
-    if "combined" in wanted:
-        for n in range(2, len(moving) + 1):
-            for axes in combinations(moving, n) if n <= len(f) else ():
-                yield _sines(ranges, axes, f)
-
-
-def _sines(ranges: Ranges, axes: Sequence[str], frequencies: Sequence[float]) -> _Motion:
-    pairs = list(zip(axes, frequencies, strict=False))
-    reach = {axis: ranges.place(axis)[1] for axis in axes}
-    name = ", ".join(f"{_axis(axis)} {f:g} Hz" for axis, f in pairs)
-    return _Motion(name, {axis: sine(reach[axis], f) for axis, f in pairs}, reach)
+    least, most = 1 if "one-axis" in wanted else 2, len(f) if "combined" in wanted else 1
+    for n in range(least, most + 1):
+        yield from (list(zip(axes, f, strict=False)) for axes in combinations(moving, n))
 
 
 def _settings(ranges: Ranges, model: Model) -> Iterator[dict[str, float]]:
@@ -282,20 +265,20 @@ def _settings(ranges: Ranges, model: Model) -> Iterator[dict[str, float]]:
         yield middle | dict(zip(model.state, place, strict=True))
 
 
-def _touches(zone: Box, setting: Mapping[str, float], motion: _Motion) -> bool:
+def _touches(zone: Box, setting: Mapping[str, float], moved: Collection[str], ranges: Ranges) -> bool:
     """Whether the run enters the zone on every axis that the zone names."""
+    reach = {axis: ranges.place(axis)[1] if axis in moved else 0.0 for axis in zone}
     return all(
-        setting[axis] - motion.reach.get(axis, 0.0) <= high
-        and setting[axis] + motion.reach.get(axis, 0.0) >= low
+        setting[axis] - reach[axis] <= high and setting[axis] + reach[axis] >= low
         for axis, (low, high) in zone.items()
     )
 
 
-def _words(place: Mapping[str, float], motion: _Motion, model: Model) -> str:
+def _words(place: Mapping[str, float], moved: Collection[str], model: Model) -> str:
     parts = []
     for axis, value in place.items():
         factor, unit, _ = readable(axis, model.period)
-        about = "about " if axis in motion.signals else ""
+        about = "about " if axis in moved else ""
         if value:
             parts.append(f"{_axis(axis)} {about}{factor * value:+.4g} {unit}")
     return ", ".join(parts) or "level"

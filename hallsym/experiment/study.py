@@ -37,17 +37,13 @@ def planned_cost(
     offsets = (0.0,) * len(model.offsets)
     real = Campaign(step_s, tuple(runs))
     longest = max(run.duration_s for run in runs)
-    least = max(LEAST, PER_PERIOD * max(map(_fastest, runs)) * longest)
+    motions = [motion for run in runs for motion in run.motion.values()]  # a plain function may be any fast
+    fastest = max((s.fastest_hz if isinstance(s, Signal) else np.inf for s in motions), default=0.0)
+    least = max(LEAST, PER_PERIOD * fastest * longest)
     coarse = Campaign(max(step_s, longest / least), tuple(replace(run, offsets=offsets) for run in runs))
     log = Log.from_arrays(simulate(model, values, coarse, seed=0))
     factor = np.array([real.samples(run) / coarse.samples(run) for run in runs])
     return cost_near(log, model, model.vector(values), noise), factor
-
-
-def _fastest(run: Run) -> float:
-    """Highest frequency in a run [Hz]; infinite where a motion is a plain function."""
-    motions = run.motion.values()
-    return max((s.fastest_hz if isinstance(s, Signal) else float("inf") for s in motions), default=0.0)
 
 
 @dataclass(frozen=True)

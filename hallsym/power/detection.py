@@ -14,7 +14,7 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from scipy.special import betaincinv
+from scipy.stats import binomtest
 
 from hallsym.diagnosis import QUIET, diagnose, prepare
 from hallsym.diagnosis.setup import Setup
@@ -86,18 +86,11 @@ class CurvePoint:
 
 def curve_point(ratio: float | None, found: Sequence[bool], noticed: Sequence[bool]) -> CurvePoint:
     """Return how often something was found and noticed in trials; nil of none."""
-    n, low_high = len(found), clopper_pearson(sum(found), len(found))
-    return CurvePoint(ratio, n, sum(found) / max(n, 1), *low_high, sum(noticed) / max(n, 1))
-
-
-def clopper_pearson(count: int, trials: int) -> tuple[float, float]:
-    """Return the two-sided 95 % bounds of a rate.
-
-    C. J. Clopper, E. S. Pearson, Biometrika 26 (1934) 404, doi:10.1093/biomet/26.4.404.
-    """
-    k, n = count, trials
-    low = float(betaincinv(k, n - k + 1, 0.5 * (1 - INTERVAL))) if k else 0.0
-    return low, float(betaincinv(k + 1, n - k, 0.5 * (1 + INTERVAL))) if k < n else 1.0
+    n, count = len(found), int(sum(found))
+    if not n:
+        return CurvePoint(ratio, 0, 0.0, 0.0, 1.0, 0.0)
+    low, high = binomtest(count, n).proportion_ci(INTERVAL)  # C. J. Clopper, E. S. Pearson 1934
+    return CurvePoint(ratio, n, count / n, float(low), float(high), sum(noticed) / n)
 
 
 @dataclass(frozen=True)

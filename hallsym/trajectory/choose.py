@@ -33,11 +33,6 @@ LINEAR_SEARCH = 64
 # -- methods ---------------------------------------------------------------------------------------------
 
 
-def equidistant(n: int) -> Array:
-    """Return n parameters in [0, 1], both ends included."""
-    return np.linspace(0.0, 1.0, n)
-
-
 def chebyshev_nodes(n: int) -> Array:
     """Return the n Chebyshev nodes of the first kind on [0, 1], increasing: (1 - cos(pi (2k + 1)/(2n)))/2."""
     return np.sin(np.pi * (2 * np.arange(n) + 1) / (4 * n)) ** 2
@@ -57,7 +52,7 @@ class Method:
     least: int = 2
     most: int = MOST_GLOBAL
     fitted: bool = False
-    nodes: Callable[[int], Array] = equidistant
+    nodes: Callable[[int], Array] = lambda n: np.linspace(0.0, 1.0, n)
 
 
 def inside(basis: Basis, u: Array) -> Array:
@@ -286,25 +281,20 @@ def choose_curve(
             rows.append(_candidate(target, one, tolerance, points, control))
         except InputError as error:
             rows.append(Candidate(one, points or 0, None, reason=str(error)))
-    return Choice(tuple(rows), best_of(rows, tolerance), tolerance)
-
-
-def best_of(candidates: Sequence[Candidate], tolerance: float | None) -> Candidate:
-    """Return the candidate to use; raises `InputError` if none was made, or none holds `tolerance`."""
-    made = [c for c in candidates if c.curve is not None]
+    made = [row for row in rows if row.curve is not None]
     if not made:
-        raise InputError(candidates[0].reason)
-    least = min(made, key=lambda c: c.error_m)
-    if tolerance is None:
-        return least
-    met = [c for c in made if c.error_m <= tolerance]
-    if not met:
+        raise InputError(rows[0].reason)
+    best = min(made, key=lambda c: c.error_m)
+    if tolerance is not None and best.error_m > tolerance:
         raise InputError(
-            f"No curve holds {1e6 * tolerance:.4g} um: the nearest is {least.method.name} with "
-            f"{least.points} points, {1e6 * least.error_m:.4g} um; give more points or allow a larger "
+            f"No curve holds {1e6 * tolerance:.4g} um: the nearest is {best.method.name} with "
+            f"{best.points} points, {1e6 * best.error_m:.4g} um; give more points or allow a larger "
             "tolerance."
         )
-    return min(met, key=lambda c: c.curve.form.numbers if c.curve else 0)
+    if tolerance is not None:
+        met = [c for c in made if c.error_m <= tolerance]
+        best = min(met, key=lambda c: c.curve.form.numbers if c.curve else 0)
+    return Choice(tuple(rows), best, tolerance)
 
 
 def _candidate(

@@ -215,6 +215,12 @@ class Curve:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the curve as the record that JSON holds (hallsym/trajectory/curve.schema.json)."""
+        form = self.form
+        kind: dict[str, Any] = (
+            {"kind": form.basis.name}
+            if isinstance(form, FgForm)
+            else {"kind": "spline", "degree": form.degree, "knots": form.knots.tolist()}
+        )
         return {
             "format": FORMAT,
             "method": self.method,
@@ -224,7 +230,7 @@ class Curve:
             "max_error_m": self.max_error_m,
             "error_kind": self.error_kind,
             "source": dict(self.source),
-            "form": _form_to_dict(self.form),
+            "form": {**kind, "control": form.control.tolist()},
         }
 
     def save(self, path: str | Path) -> None:
@@ -256,7 +262,17 @@ def read_curve(path: str | Path) -> Curve:
 
 def curve_from_dict(raw: Mapping[str, Any]) -> Curve:
     """Return the curve of a record; raises ValueError, KeyError or TypeError where it cannot be one."""
-    form, names = _form_from_dict(raw["form"]), tuple(str(name) for name in raw["coordinates"])
+    said, names = raw["form"], tuple(str(name) for name in raw["coordinates"])
+    control = np.array(said["control"], float)
+    if said["kind"] == "spline":
+        knots, degree = np.array(said["knots"], float), int(said["degree"])
+        if degree < 1 or len(knots) != len(control) + degree + 1 or not (np.diff(knots) >= 0).all():
+            raise ValueError("knots must be numbers that increase, as many as control points + degree + 1")
+    form = (
+        SplineForm(knots, degree, control)
+        if said["kind"] == "spline"
+        else FgForm(BASES[said["kind"]], control)
+    )
     start, stop, error = float(raw["start"]), float(raw["stop"]), raw["max_error_m"]
     if not (np.isfinite([start, stop]).all() and start < stop):
         raise ValueError("start must be less than stop")
@@ -272,20 +288,3 @@ def curve_from_dict(raw: Mapping[str, Any]) -> Curve:
         form, start, stop, names, str(raw["method"]), None if error is None else float(error),
         raw["error_kind"], dict(raw["source"]),
     )  # fmt: skip
-
-
-def _form_to_dict(form: Form) -> dict[str, Any]:
-    if isinstance(form, FgForm):
-        return {"kind": form.basis.name, "control": form.control.tolist()}
-    knots = form.knots.tolist()
-    return {"kind": "spline", "degree": form.degree, "knots": knots, "control": form.control.tolist()}
-
-
-def _form_from_dict(raw: Mapping[str, Any]) -> Form:
-    kind, control = raw["kind"], np.array(raw["control"], float)
-    if kind != "spline":
-        return FgForm(BASES[kind], control)
-    knots, degree = np.array(raw["knots"], float), int(raw["degree"])
-    if degree < 1 or len(knots) != len(control) + degree + 1 or not (np.diff(knots) >= 0).all():
-        raise ValueError("knots must be numbers that increase, as many as control points + degree + 1")
-    return SplineForm(knots, degree, control)

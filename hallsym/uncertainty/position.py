@@ -228,14 +228,6 @@ class UncertaintyMap:
         """Columns that go round."""
         return self.recorded.periodic
 
-    def over(self) -> Recorded:
-        """Return rms and worst over the points of the map."""
-        return self.recorded
-
-    def worst(self, coordinate: str) -> tuple[Mapping[str, float], float]:
-        """Return where the uncertainty of a coordinate is largest, and its U there."""
-        return self.recorded.where[coordinate], self.recorded.worst[coordinate]
-
     def to_dict(self) -> dict[str, Any]:
         """Return the map as plain numbers in SI: one nested list per pose coordinate."""
         return {

@@ -16,8 +16,8 @@ from hallsym.families import effects
 from hallsym.families.faults import ages
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log, Noise
-from hallsym.power import REPEATS, DetectionPower, detection_power
-from hallsym.power.detection import NO_EFFECT, RATIOS, Bench, clopper_pearson
+from hallsym.power import DetectionPower, detection_power
+from hallsym.power.detection import NO_EFFECT, RATIOS, Bench, curve_point
 from hallsym.power.injection import Injection, generator, injections, sized
 from hallsym.power.simulated_machine import SimulatedMachine, decimated, machine_of, simulated_noise
 from hallsym.report.content import printed
@@ -155,7 +155,8 @@ def stubbed(monkeypatch, answers) -> None:
 
 def test_bounds_are_those_of_clopper_and_pearson() -> None:
     """Known bounds: 20 of 20 is at least 83.16 %, 18 of 20 is 68.3 to 98.8 %."""
-    every, most, none = (clopper_pearson(k, REPEATS) for k in (20, 18, 0))
+    found = [curve_point(1.3, np.arange(20) < k, np.zeros(20, bool)) for k in (20, 18, 0)]
+    every, most, none = ((point.low, point.high) for point in found)
     assert every == (pytest.approx(0.8316, abs=1e-4), 1.0)
     assert most == (pytest.approx(0.683, abs=1e-3), pytest.approx(0.9877, abs=1e-4))
     assert none == (0.0, pytest.approx(1 - every[0]))

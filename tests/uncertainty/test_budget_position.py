@@ -129,7 +129,7 @@ def test_a_map_holds_the_budgets_of_its_points(level):
     at = {**fixed, "x_m": 2e-4, "y_m": 1e-4, "z_m": -2e-4}
     for i, budget in enumerate(position_budget(known, at, settings).values()):
         assert found.expanded[i, 2, 0, 0] == pytest.approx(budget.expanded, rel=1e-9)
-    where, worst = found.worst("y_m")
+    where, worst = (of["y_m"] for of in (found.recorded.where, found.recorded.worst))
     assert worst == found.expanded[1].max()
     assert position_budget(known, where, settings)["y_m"].expanded == pytest.approx(worst, rel=1e-9)
 
