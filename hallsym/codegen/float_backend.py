@@ -24,8 +24,6 @@ from hallsym.output import commented
 
 M4 = "-mcpu=cortex-m4 -mthumb"
 """Compiler options of a Cortex-M4F."""
-FPU = {4: "-mfloat-abi=hard -mfpu=fpv4-sp-d16", 8: "-mfloat-abi=soft"}
-"""Compiler options of its floating-point unit by bytes of a number; it has no double."""
 MOST_STEPS = 20
 """Steps of the arithmetic that the report lists."""
 UNION = "misra-c2012-19.2:decoupler.c"
@@ -267,31 +265,30 @@ class FloatBackend(Backend):
         return found
 
     def _of_input(self, port: Port) -> dict[str, Any]:
-        d, c = self.decoupler, port.column
+        c = port.column
         names = [f"{side}_{short(c)}" for side in ("limit", "low", "high")]
         far = max(abs(v) for name in names for v in self.accepted.get(name, ()))
-        return {
-            "kind": "reading" if c in d.model.channels else "measured state",
-            "far": self.real.constant(far),
-        }
+        kind = "reading" if c in self.decoupler.model.channels else "measured state"
+        return {"kind": kind, "far": self.real.constant(far)}
 
     def _of_output(self, port: Port) -> dict[str, Any]:
-        d, c = self.decoupler, port.column
-        own = {"hashed": self.real.constant(self.reset[c])}
-        own["period"] = self.real.constant(d.model.period.get(c, 0.0))
-        if not d.evident:  # nothing is proved of it by EVA
-            return own
-        low, high = (side[c] for side in (self.bounds.low, self.bounds.high))
-        return {**own, "outer_low": self._beyond(low), "outer_high": self._beyond(high)}
-
-    def _beyond(self, value: float) -> str:
-        return self._literal(float(np.float32(value * 1.0001)) + (1e-12 if value > 0 else -1e-12))
+        d, c, literal = self.decoupler, port.column, self.real.constant
+        own = {"hashed": literal(self.reset[c]), "period": literal(d.model.period.get(c, 0.0))}
+        if d.evident:  # else nothing is proved of it by EVA
+            for name, value in (("outer_low", self.bounds.low[c]), ("outer_high", self.bounds.high[c])):
+                beyond = float(np.float32(value * 1.0001)) + (1e-12 if value > 0 else -1e-12)
+                own[name] = literal(beyond)
+        return own
 
     def _fields(self, common: Mapping[str, Any]) -> dict[str, Any]:
         d, c = self.decoupler, self.real.constant
         work, slopes = firmware_cost(d), self.slopes.records() if self.jacobian else []
         least = self.bounds.least_gain
         gains = [{"column": commented(column), "share": f"{v:.4f}"} for column, v in least.items()]
+
+        def units(columns: Sequence[str], between: str = ", ") -> str:
+            return between.join(dict.fromkeys(map(unit, columns)))
+
         common = {
             **common,
             "real": self.type,
@@ -300,6 +297,13 @@ class FloatBackend(Backend):
             "zero": c(0.0),
             "one": c(1.0),
             "ieee": lines_of(f"{FRAGMENTS}ieee.c", {}),
+            # header
+            "probes": len(d.model.channels),
+            "all_units": units((*d.inputs, *d.pose), " and "),
+            "reading_units": units(d.model.channels),
+            "state_units": f" and state [{units(d.model.state)}]" if d.model.state else "",
+            "pose_units": units(d.pose),
+            "known": ", ".join(dict.fromkeys(f"{d.known(c):.6g} {unit(c)}" for c in d.pose)),
             "slope": slopes,
             "slope_units": ", ".join(dict.fromkeys(record["unit"] for record in slopes)),
             # build files
@@ -308,7 +312,7 @@ class FloatBackend(Backend):
                 backend.UNION,
                 *([] if d.at_pose and not d.redundancy else [backend.STEP]),
             ],
-            "cpu": f"{M4} {FPU[self.real.size]}",
+            "cpu": f"{M4} {self.real.fpu}",
             "machine": "mps2-an386",
             # proofs
             "eva_slopes": self._if_jacobian("eva_slopes.c"),
@@ -322,10 +326,7 @@ class FloatBackend(Backend):
             "moves": work.moves,
             "instructions": work.instructions,
         }
-        parts = (self._header(common), self._step(common), self._selftest())
-        for part in (*parts, self._range_tests(common)):
-            common |= part
-        return common
+        return common | self._step(common) | self._selftest() | self._range_tests(common)
 
     @cached_property
     def slopes(self) -> Slopes:
@@ -335,31 +336,7 @@ class FloatBackend(Backend):
     def _if_jacobian(self, fragment: str, fields: Mapping[str, Any] | None = None) -> list[str]:
         return lines_of(FRAGMENTS + fragment, fields or {}) if self.jacobian else []
 
-    # -- header, step, check -------------------------------------------------------------------------------
-
-    def _header(self, common: Mapping[str, Any]) -> dict[str, Any]:
-        d = self.decoupler
-
-        def units(columns: Sequence[str], between: str = ", ") -> str:
-            return between.join(dict.fromkeys(map(unit, columns)))
-
-        return {
-            "probes": len(d.model.channels),
-            "all_units": units((*d.inputs, *d.pose), " and "),
-            "reading_units": units(d.model.channels),
-            "state_units": f" and state [{units(d.model.state)}]" if d.model.state else "",
-            "pose_units": units(d.pose),
-            "known": ", ".join(dict.fromkeys(f"{d.known(c):.6g} {unit(c)}" for c in d.pose)),
-            "jacobian_type": self._if_jacobian("jacobian_type.h", common),
-            "jacobian_function": self._if_jacobian("jacobian.h", common),
-        }
-
-    def _bits(self) -> dict[str, str]:
-        """The bits of a number in C: their type, those of the size, the one of the sign."""
-        if self.real.size == 4:
-            return {"word": "uint32_t", "size_mask": "0x7FFFFFFFUL", "sign_mask": "0x80000000UL"}
-        masks = {"size_mask": "0x7FFFFFFFFFFFFFFFULL", "sign_mask": "0x8000000000000000ULL"}
-        return {"word": "uint64_t", **masks}
+    # -- step, check ---------------------------------------------------------------------------------------
 
     def by_size(self, column: str) -> bool:
         """Whether the bits of its size are compared: fewest instructions, typical and worst."""
@@ -393,7 +370,7 @@ class FloatBackend(Backend):
             slopes += statements(self.slopes.steps, names, real, stored)
         magnitude = lines_of(f"{FRAGMENTS}magnitude.c", common)
         by_size = list(map(self.by_size, d.inputs))
-        within = lines_of(f"{FRAGMENTS}within.c", {**common, **self._bits()}) if any(by_size) else []
+        within = lines_of(f"{FRAGMENTS}within.c", {**common, **vars(real)}) if any(by_size) else []
         limited = lines_of(f"{FRAGMENTS}limited.c", common)
         if all(by_size):
             limited = ["#if defined(__FRAMAC__)", *limited[:-1], "#endif", ""]
@@ -417,6 +394,8 @@ class FloatBackend(Backend):
         }  # fmt: skip
         zero = "take_zero_iterated.c" if d.at_pose else "take_zero.c"
         return {
+            "jacobian_type": self._if_jacobian("jacobian_type.h", common),
+            "jacobian_function": self._if_jacobian("jacobian.h", common),
             "limited_function": limited,
             "within": within,
             "held": self._clamped(d.folded),
@@ -482,7 +461,9 @@ class FloatBackend(Backend):
     # -- self-test and proofs ------------------------------------------------------------------------------
 
     def _selftest(self) -> dict[str, Any]:
-        found, c = self.vectors, self.real.constant
+        d, found, c = self.decoupler, self.vectors, self.real.constant
+        # what roundings of a pose at its largest zero, and iterations, may leave [m, rad], and some
+        near = 8 * 2.0**-self.real.digits * max(2.0 * d.known(p) for p in d.pose) + 10 * d.slack
         slopes, slope_bounds = found.pose, []
         if self.jacobian:
             slopes = self.slopes.of(found.clamped)
@@ -492,25 +473,24 @@ class FloatBackend(Backend):
             shown = ", ".join(f"{limit:.3e}" for limit in limits)
             slope_bounds = [f"static const double decoupler_slope_bounds[{len(limits)}] = {{{shown}}};"]
         own = "wanted->status"
-        if self.decoupler.flags:  # of the inputs alone: a slope looks at no flag
-            own = f"(wanted->status & 0x{sum(set(self.decoupler.input_bits)):08X}UL)"
+        if d.flags:  # of the inputs alone: a slope looks at no flag
+            own = f"(wanted->status & 0x{sum(set(d.input_bits)):08X}UL)"
         status = f"failed |= (status == {own}) ? 0U : 1U;"
-        size = "float" if self.real.size == 4 else "double"
         return {
             "that_the_model_gives": "that the model gives",
             "vector_includes": ["#include <math.h>", ""],
             "slope_bounds": slope_bounds,
             "rows": self._vectors(lambda k: f"{{{listed(slopes[:, k])}}}, " if self.jacobian else ""),
-            "word": lines_of(f"{FRAGMENTS}word_{size}.c", {}),
-            "wild": lines_of(f"{FRAGMENTS}wild_{size}.c", {}),
+            "word": lines_of(f"{FRAGMENTS}word_{self.type}.c", {}),
+            "wild": lines_of(f"{FRAGMENTS}wild_{self.type}.c", {}),
             "scale": c(2.0**-24),
             "four": c(4.0),
             "slope_field": [f"double slopes[{len(self.slopes.expressions)}];"] if self.jacobian else [],
             "slope_step": self._if_jacobian("slope_step.c"),
             "slope_status": [status] if self.jacobian else [],
-            **self._flags_raised(self._most),
-            "flag_includes": ["#include <float.h>"] if self.decoupler.flags else [],
-            "near": c(self._near),
+            **self._flags_raised(self.real.most),
+            "flag_includes": ["#include <float.h>"] if d.flags else [],
+            "near": c(near),
             "at_known": c(2.0**-12),
             **self._known(*self._zeros()),
             "fault_includes": ["#include <float.h>", "#include <math.h>"],
@@ -526,12 +506,6 @@ class FloatBackend(Backend):
             loop = f"for (uint32_t k = 0U; k < {len(e.values)}U; k++)" if e.values.ndim else ""
             yield from [loop, "{", f"    {place}", "}"] if loop else [place]
 
-    @property
-    def _near(self) -> float:
-        """What roundings of a pose at its largest zero, and iterations, may leave [m, rad], and some."""
-        d = self.decoupler
-        return 8 * 2.0**-self.real.digits * max(2.0 * d.known(c) for c in d.pose) + 10 * d.slack
-
     def _zeros(self) -> tuple[list[list[str]], dict[str, list[str]]]:
         """Poses at which a zero is taken, in C, and by member what is refused; see `_known`."""
         d, c = self.decoupler, self.real.constant
@@ -542,15 +516,10 @@ class FloatBackend(Backend):
         }
         return [[c(share * d.known(p)) for p in d.pose] for share in ends], far
 
-    @property
-    def _most(self) -> str:
-        return "FLT_MAX" if self.real.size == 4 else "DBL_MAX"
-
     def _input(self, port: Port, value: Any) -> str:
-        cast = "" if self.real.size == 4 else "(double)"  # math.h has them as float
         if np.isfinite(value):
             return self.real.constant(value)
-        return f"{'-' * (value < 0)}{cast}{'NAN' if np.isnan(value) else 'INFINITY'}"
+        return f"{'-' * (value < 0)}{self.real.cast}{'NAN' if np.isnan(value) else 'INFINITY'}"
 
     def _range_tests(self, common: Mapping[str, Any]) -> dict[str, Any]:
         """The trial of every bit pattern of an input through its range test.

@@ -15,22 +15,25 @@ from hallsym.output import commented
 
 @dataclass(frozen=True)
 class Real:
-    """A C type of real numbers: its name, the suffix of its constants, digits of its significand."""
+    """A C type of real numbers: its name, the suffix of its constants, digits of its significand, bytes.
+
+    `fabs`: the compiler's own function of a magnitude; `most`: the largest number; `word`, `size_mask`,
+    `sign_mask`: the bits of a number, of its size and its sign; `cast`: of NAN and INFINITY, which are float;
+    `fpu`: options of a compiler for a Cortex-M4F, which has no double.
+    """
 
     name: str
     suffix: str
     digits: int
     dtype: type
-
-    @property
-    def size(self) -> int:
-        """Bytes."""
-        return int(np.dtype(self.dtype).itemsize)
-
-    @property
-    def fabs(self) -> str:
-        """The compiler's own function of a magnitude."""
-        return "__builtin_fabsf" if self.size == 4 else "__builtin_fabs"
+    size: int
+    fabs: str
+    most: str
+    word: str
+    size_mask: str
+    sign_mask: str
+    cast: str
+    fpu: str
 
     def constant(self, value: float) -> str:
         """Return a literal that is read back as the same number."""
@@ -40,8 +43,14 @@ class Real:
         return text + self.suffix
 
 
-FLOAT = Real("float", "f", 24, np.float32)
-DOUBLE = Real("double", "", 53, np.float64)
+FLOAT = Real(
+    "float", "f", 24, np.float32, 4, "__builtin_fabsf", "FLT_MAX", "uint32_t", "0x7FFFFFFFUL", "0x80000000UL",
+    "", "-mfloat-abi=hard -mfpu=fpv4-sp-d16",
+)  # fmt: skip
+DOUBLE = Real(
+    "double", "", 53, np.float64, 8, "__builtin_fabs", "DBL_MAX", "uint64_t", "0x7FFFFFFFFFFFFFFFULL",
+    "0x8000000000000000ULL", "(double)", "-mfloat-abi=soft",
+)  # fmt: skip
 
 
 def statements(

@@ -404,7 +404,8 @@ class Compiler:
                 known[step.name] = self._step(step, known)
         if d.suspects:
             known[AGREEMENT] = self._agreement([known[w.left] for w in d.watched])
-        self._flags(known)
+        for flag in d.flags:
+            self._least(flag.name, flag.least, known[flag.step])
         self._outputs({c: known[step.name] for c, step in zip(d.pose, d.steps[-len(d.pose) :], strict=True)})
         return p
 
@@ -428,12 +429,8 @@ class Compiler:
                 like = [reach[o] for o in columns if unit(o) == unit(c) and reach[o] <= LIKE * reach[c]]
                 self.p.inputs[c] = self._exponent(0.0, max(like))
 
-    def _flags(self, known: Mapping[str, Fixed]) -> None:
-        """Add the least value of what each flag looks at, less what integers make of it."""
-        for flag in self.d.flags:
-            self._least(flag.name, flag.least, known[flag.step])
-
     def _least(self, flag: str, entry: str, seen: Fixed) -> None:
+        """Add the least value of what a flag looks at, less what integers make of it."""
         value = next(e.value for e in self.d.table if e.name == entry)
         self.p.table[entry] = (floor((value - seen.error) * 2.0**seen.e), seen.e)
         self.p.flags[flag] = (seen.text, entry)

@@ -115,19 +115,14 @@ class Observer:
             d, table=(*d.table, *entries), symbols=symbols, observed=True, said=(*d.said, *self.said)
         )
 
-    def observed(self, t: np.ndarray, pose: np.ndarray, period: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions and speeds (n_pose, s) of poses (n_pose, s) at times t (s,) in double.
-
-        `period` (n_pose,): of coordinates that repeat, infinite of others.
-        """
-        found = _observed([self], t, pose, period)
-        return found[0][:, 0], found[1][:, 0]
-
 
 def _observed(
     observers: "Sequence[Observer]", t: np.ndarray, pose: np.ndarray, period: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions and speeds (n_pose, n_observers, s)."""
+    """Return positions and speeds (n_pose, n_observers, s) of poses (n_pose, s) at times t (s,).
+
+    `period` (n_pose,): of coordinates that repeat, infinite of others.
+    """
     g, h = np.array([[o.position, o.speed] for o in observers]).T
     x, v = np.repeat(pose[:, :1], len(observers), axis=1), np.zeros((len(pose), len(observers)))
     xs, vs = [x], [v]
