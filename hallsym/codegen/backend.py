@@ -177,8 +177,27 @@ class Backend(ABC):
         """Return inputs as numbers of this arithmetic."""
 
     @abstractmethod
+    def _beyond(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Return values (v, n_inputs) that are in no range, of the ends (n_inputs,) of ranges."""
+
     def _chosen(self) -> np.ndarray:
-        """Return the inputs (n_inputs, s) that the self-test lists."""
+        """Return the inputs (n_inputs, s) that the self-test lists: within, one beyond, all beyond."""
+        d, (low, high), rng = self.decoupler, self.ends, np.random.default_rng(1)
+        share = np.hstack([np.full_like(low, 0.5, dtype=float), rng.random((len(low), COUNT - 1))])
+        share[:, 1:9] = rng.choice([0.0, 1.0], (len(low), 8))
+        inside = low + (high - low) * share if d.drawn is None else self._trials(rng, COUNT)
+        found = [self._rounded(np.clip(inside, low, high))]
+        sides = [self._beyond(low[:, 0], high[:, 0])]
+        sides += [] if d.drawn is None else [np.hstack([low, high]).T]  # poses alone do not reach the ends
+        for values in sides:
+            for k in range(len(low)):
+                columns = np.repeat(found[0][:, [(9 + k) % COUNT]], len(values), axis=1)
+                columns[k] = values[:, k]
+                found.append(columns)
+        found.append(sides[0][:1].T)
+        if d.listed:
+            found.append(self._rounded((np.array(d.listed) / [port.scale for port in self.inputs]).T))
+        return np.hstack(found)
 
     def _trials(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Return random inputs (n_inputs, count) in the box, in the unit of their own numbers."""
@@ -403,12 +422,8 @@ class Backend(ABC):
     # -- files ---------------------------------------------------------------------------------------------
 
     @abstractmethod
-    def _of_input(self, port: Port) -> dict[str, Any]:
-        """Return what templates of this arithmetic say of an input beyond `_inputs`."""
-
-    @abstractmethod
-    def _of_output(self, port: Port) -> dict[str, Any]:
-        """Return what templates of this arithmetic say of an output beyond `_outputs`."""
+    def _own(self, port: Port, given: bool) -> dict[str, Any]:
+        """Return what templates of this arithmetic alone say of an input (`given`) or an output."""
 
     def _inputs(self) -> list[dict[str, Any]]:
         d, out = self.decoupler, []
@@ -418,7 +433,7 @@ class Backend(ABC):
                 **_record(k, port), "bit": bit(port.column), "mask": f"0x{d.input_bits[k]:08X}UL",
                 "least": of_params(low), "greatest": of_params(high),
                 "lowest": f"{d.ends(port.column)[0]:.6g}", "highest": f"{d.ends(port.column)[1]:.6g}",
-                **self._of_input(port),
+                **self._own(port, True),
             })  # fmt: skip
         return out
 
@@ -429,7 +444,8 @@ class Backend(ABC):
             out.append({
                 **_record(k, port), "zero": f"zero_{short(c)}",
                 "lowest": f"{found.low[c]:.6g}", "highest": f"{found.high[c]:.6g}",
-                "error": _small(self.error_bound[c], c), "met": _small(errors[c], c), **self._of_output(port),
+                "error": _small(self.error_bound[c], c), "met": _small(errors[c], c),
+                **self._own(port, False),
             })  # fmt: skip
         return out
 

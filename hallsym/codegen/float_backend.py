@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
 from typing import Any, ClassVar
 from zlib import crc32
 
@@ -11,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen import accepted, backend, residual
-from hallsym.codegen.backend import COUNT, VERSION, Backend, Port, Stored, ends, listed
+from hallsym.codegen.backend import VERSION, Backend, Port, Stored, ends, listed
 from hallsym.codegen.bounds import Bounds, pose_bounds, step_errors
 from hallsym.codegen.cost import firmware_cost
 from hallsym.codegen.decoupler import ROOT, Array, Decoupler, Entry, Step, short, steps_on_arrays, unit
@@ -201,29 +200,9 @@ class FloatBackend(Backend):
     def _rounded(self, inputs: np.ndarray) -> np.ndarray:
         return inputs.astype(self.real.dtype)
 
-    def _chosen(self) -> np.ndarray:
-        low, high = (side[:, 0] for side in self.ends)
-        rng, dtype = np.random.default_rng(1), self.real.dtype
-        share = np.hstack([np.zeros((len(low), 1)) + 0.5, rng.random((len(low), COUNT - 1))])
-        share[:, 1:9] = rng.choice([0.0, 1.0], (len(low), 8))
-        inside = (low[:, None] + (high - low)[:, None] * share).astype(dtype)
-        if self.decoupler.drawn is not None:
-            inside = self.decoupler.drawn(rng, COUNT).astype(dtype)
-        inside = np.clip(inside, low[:, None], high[:, None])
-        bad = []
-        for k in range(len(low)):
-            for value in (np.nan, np.inf, -np.inf, 2 * low[k], 2 * high[k], np.finfo(dtype).max):
-                column = inside[:, (9 + k) % COUNT].copy()
-                column[k] = value
-                bad.append(column)
-        if self.decoupler.drawn is not None:  # poses alone do not reach the ends
-            for k, value in product(range(len(low)), (low, high)):
-                column = inside[:, (9 + k) % COUNT].copy()
-                column[k] = value[k]
-                bad.append(column)
-        bad.append(np.full(len(low), np.nan, dtype=dtype))
-        bad += [np.array(row, dtype=dtype) for row in self.decoupler.listed]
-        return np.hstack([inside, np.array(bad, dtype=dtype).T])
+    def _beyond(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        bad, most = ([np.full_like(low, v) for v in (np.nan, np.inf, -np.inf)], np.finfo(low.dtype).max)
+        return np.array([*bad, 2 * low, 2 * high, np.full_like(low, most)])
 
     # -- the table -----------------------------------------------------------------------------------------
 
@@ -264,20 +243,16 @@ class FloatBackend(Backend):
             del found["proof/exhaustive.c"]
         return found
 
-    def _of_input(self, port: Port) -> dict[str, Any]:
-        c = port.column
-        names = [f"{side}_{short(c)}" for side in ("limit", "low", "high")]
-        far = max(abs(v) for name in names for v in self.accepted.get(name, ()))
-        kind = "reading" if c in self.decoupler.model.channels else "measured state"
-        return {"kind": kind, "far": self.real.constant(far)}
-
-    def _of_output(self, port: Port) -> dict[str, Any]:
+    def _own(self, port: Port, given: bool) -> dict[str, Any]:
         d, c, literal = self.decoupler, port.column, self.real.constant
+        if given:
+            names = [f"{side}_{short(c)}" for side in ("limit", "low", "high")]
+            far = max(abs(v) for name in names for v in self.accepted.get(name, ()))
+            return {"kind": "reading" if c in d.model.channels else "measured state", "far": literal(far)}
         own = {"hashed": literal(self.reset[c]), "period": literal(d.model.period.get(c, 0.0))}
         if d.evident:  # else nothing is proved of it by EVA
             for name, value in (("outer_low", self.bounds.low[c]), ("outer_high", self.bounds.high[c])):
-                beyond = float(np.float32(value * 1.0001)) + (1e-12 if value > 0 else -1e-12)
-                own[name] = literal(beyond)
+                own[name] = literal(float(np.float32(value * 1.0001)) + (1e-12 if value > 0 else -1e-12))
         return own
 
     def _fields(self, common: Mapping[str, Any]) -> dict[str, Any]:

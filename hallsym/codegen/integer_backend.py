@@ -10,7 +10,7 @@ from zlib import crc32
 import numpy as np
 
 from hallsym.codegen import accepted, backend, residual
-from hallsym.codegen.backend import COUNT, VERSION, Backend, Port, Stored, ends
+from hallsym.codegen.backend import VERSION, Backend, Port, Stored, ends
 from hallsym.codegen.bounds import Bounds
 from hallsym.codegen.decoupler import ROOT, flag_bit, short, unit
 from hallsym.codegen.integer_c import LARGEST, MASK, UNIT, Program, Reciprocal, helpers
@@ -120,26 +120,12 @@ class IntegerBackend(Backend):
         return (pose & MASK).astype(np.uint32)
 
     def _rounded(self, inputs: np.ndarray) -> np.ndarray:
-        return np.round(inputs).astype(np.int64)
+        whole = np.round(inputs).astype(np.int64)
+        return whole & MASK if self.reads_angle else whole
 
-    def _chosen(self) -> np.ndarray:
-        d, (low, high) = self.decoupler, self.ends
-        rng = np.random.default_rng(1)
-        share = np.hstack([rng.choice([0.0, 1.0], (len(low), 8)), rng.random((len(low), COUNT - 8))])
-        inside = low + (high - low) * share if d.drawn is None else self._trials(rng, COUNT)
-        given = [self._rounded(inside)]
-        for k in range(0 if self.reads_angle else len(low)):
-            beyond = np.repeat(given[0][:, [(9 + k) % COUNT]], 4, axis=1)
-            beyond[k] = (-MOST - 1, low[k, 0] - 1, high[k, 0] + 1, MOST)
-            given.append(beyond)
-            if d.drawn is not None:  # poses alone do not reach the ends
-                ends = beyond[:, 1:3].copy()
-                ends[k] += (1, -1)
-                given.append(ends)
-        if d.listed:
-            listed = self._rounded(np.array(d.listed) / [port.scale for port in self.inputs]).T
-            given.append(listed & MASK if self.reads_angle else listed)
-        return np.hstack(given)
+    def _beyond(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        values = [np.full_like(low, -MOST - 1), low - 1, high + 1, np.full_like(high, MOST)]
+        return np.array(values)[: 0 if self.reads_angle else None]
 
     # -- the table -----------------------------------------------------------------------------------------
 
@@ -220,15 +206,14 @@ class IntegerBackend(Backend):
             found["proof/exhaustive.c"] = f"{FRAGMENTS}every_angle.c"
         return found
 
-    def _of_input(self, port: Port) -> dict[str, Any]:
-        d, c = self.decoupler, port.column
-        if c in self.program.angles:
-            return {"interval": "Frama_C_unsigned_int_interval(0U, 0xFFFFFFFFU)"}
-        return {"interval": f"Frama_C_interval({', '.join(map(backend.of_params, ends(d, c)))})"}
-
-    def _of_output(self, port: Port) -> dict[str, Any]:
+    def _own(self, port: Port, given: bool) -> dict[str, Any]:
         p, c = self.program, port.column
-        return {"line": p.outputs[c][0], "at_known": _integer(4096, c in p.angles)}
+        if not given:
+            return {"line": p.outputs[c][0], "at_known": _integer(4096, c in p.angles)}
+        if c in p.angles:
+            return {"interval": "Frama_C_unsigned_int_interval(0U, 0xFFFFFFFFU)"}
+        sides = map(backend.of_params, ends(self.decoupler, c))
+        return {"interval": f"Frama_C_interval({', '.join(sides)})"}
 
     @property
     def said(self) -> Sequence[str]:
