@@ -101,9 +101,8 @@ def check_prefix(prefix: str) -> str:
         raise InputError(f"--name {prefix} is a word of C or C++; give another, such as {prefix}_1.")
     if prefix in HEADERS:
         raise InputError(
-            f"--name {prefix} would make {prefix}.h, which is a header of the C library; give "
-            f"another, such as "
-            f"{prefix}_1."
+            f"--name {prefix} would make {prefix}.h, which is a header of the C library; give another, such "
+            f"as {prefix}_1."
         )
     return prefix
 

@@ -97,10 +97,8 @@ class RingFleet(Shown):
         size, error = (np.degrees(v[k]) * self.pairs for v in (np.abs(self.jig.ripple), self.ripple_std))
         return (
             f"The drive has a ripple that all {len(self.fits)} rings show: {size:.2f} +- {error:.2f} "
-            "electrical deg "
-            f"at wave {self.jig.orders[k]} per turn; a table from constant speed would have learned it "
-            "as each "
-            "sensor's, and it is taken off."
+            f"electrical deg at wave {self.jig.orders[k]} per turn; a table from constant speed would have "
+            "learned it as each sensor's, and it is taken off."
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -145,14 +143,10 @@ def ring_fleet(
     for name, log in logs.items():
         own = model_for_table(log, model, effects, parameters)
         pairs, phases, orders = terms_of(own)
-        models[name], runs = own, samples_of(log, own)
-        asked[name] = {
-            "runs": runs,
-            "pairs": pairs,
-            "phases": phases,
-            "reference": reference,
+        models[name], asked[name] = own, {
+            "runs": samples_of(log, own), "pairs": pairs, "phases": phases, "reference": reference,
             "orders": orders,
-        }
+        }  # fmt: skip
     jig: Jig | None = None
     found: dict[str, SelfCalibration] = {}
     failed: dict[str, str] = {}
@@ -198,9 +192,8 @@ def _row(result: SelfFit, left: float | None, middle: float, spread: float) -> d
     if left is not None and left > middle + OUTLYING * spread:
         verdict = AMISS
         reason = (
-            f"it does not repeat: its last turn is off by {left * degrees:.2f} electrical deg, the "
-            "median ring's "
-            f"by {middle * degrees:.2f}."
+            f"it does not repeat: its last turn is off by {left * degrees:.2f} electrical deg, the median "
+            f"ring's by {middle * degrees:.2f}."
         )
     elif result.open:
         verdict, reason = UNDETERMINED, result.sentence

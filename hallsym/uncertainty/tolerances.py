@@ -209,8 +209,7 @@ def tolerances(
     errors_of = decoding_errors(
         model, model, space.pose, space.state, "state narrower tolerances in --ranges"
     )
-    drawn = _Sums(errors_of, len(model.pose), space.points)
-    fields, errors = drawn.run(draws, machines)
+    fields, errors, squares = _drawn(errors_of, draws, machines)
     return Tolerances(
         model=model,
         tolerances=all_,
@@ -220,7 +219,7 @@ def tolerances(
         seed=seed,
         errors=errors,
         indices={c: field_indices(m, seed) for c, m in zip(model.pose, fields, strict=True)},
-        worth=_worth(drawn, draws[:, 0], all_, active),
+        worth=_worth(errors_of, squares, draws[:, 0], all_, active, space.points),
         notes=tuple(_notes(model, all_)),
     )
 
@@ -291,68 +290,63 @@ def field_indices(m: Moments, seed: int) -> Indices:
     return Indices(first.mean(axis=0) / variance, total.mean(axis=0) / variance, *halves)
 
 
-@dataclass(frozen=True, eq=False)
-class _Sums:
-    """Evaluates machines in blocks of bounded size."""
-
-    errors: Errors
-    n_pose: int
-    points: int
-
-    def blocks(self, samples: int, rows: int) -> Iterator[slice]:
-        step = max(1, BLOCK // (rows * self.points))
-        return (slice(k, min(k + step, samples)) for k in range(0, samples, step))
-
-    def run(self, draws: np.ndarray, machines: Any) -> tuple[list[Moments], Errors95]:
-        """Return moments of each coordinate's field over the whole design, and errors of machines A and B.
-
-        The mean field comes first, so that moments are centred.
-        """
-        samples, rows, n = draws.shape
-        mean = np.zeros((self.n_pose, self.points))
-        for at in self.blocks(samples, 2):
-            mean += self.errors(machines(draws[at][:, [0, -1]].reshape(-1, n))).sum(axis=1)
-        mean /= 2 * samples
-        square, peak = np.empty((2, self.n_pose, samples, 2))
-        parts: list[list[Moments]] = [[] for _ in range(self.n_pose)]
-        for at in self.blocks(samples, rows):
-            field = self.errors(machines(draws[at].reshape(-1, n))).reshape(
-                self.n_pose, -1, rows, self.points
-            )
-            plain = field[:, :, [0, -1]]
-            square[:, at] = np.einsum("csjt,csjt->csj", plain, plain) / self.points
-            peak[:, at] = np.abs(plain).max(axis=-1)
-            for part, y, centre in zip(parts, field, mean, strict=True):
-                part.append(moments(y, centre))
-        joined = []
-        for part in parts:
-            first, total, variance = (np.concatenate(column) for column in zip(*part, strict=True))
-            joined.append((first, total, variance))
-        square, peak = (v.reshape(len(v), -1) for v in (square, peak))
-        return joined, Errors95(
-            rms=np.sqrt(square.mean(axis=1)),
-            mean=np.sqrt((mean**2).mean(axis=1)),
-            rms_95=np.sqrt(np.quantile(square, 0.95, axis=1)),
-            peak_95=np.quantile(peak, 0.95, axis=1),
-        )
-
-    def squares(self, drawn: np.ndarray) -> np.ndarray:
-        """Mean square over the workspace of each machine, (n_pose, m)."""
-        out = np.empty((self.n_pose, len(drawn)))
-        for at in self.blocks(len(drawn), 1):
-            field = self.errors(drawn[at])
-            out[:, at] = np.einsum("cst,cst->cs", field, field) / self.points
-        return out
+def _blocks(samples: int, rows: int) -> Iterator[slice]:
+    """Samples of so many rows each, machines times points, in blocks of bounded size."""
+    step = max(1, BLOCK // rows)
+    return (slice(k, min(k + step, samples)) for k in range(0, samples, step))
 
 
-def _worth(drawn: _Sums, u: np.ndarray, all_: tuple[Tolerance, ...], active: tuple[Tolerance, ...]) -> Worth:
-    """Draw the machines A again, one tolerance exact at a time, everything else the same."""
-    before = drawn.squares(_machines(all_, active, u))
+def _drawn(errors: Errors, draws: np.ndarray, machines: Any) -> tuple[list[Moments], Errors95, np.ndarray]:
+    """Return moments of each coordinate's field over the whole design, and errors of machines A and B.
+
+    The mean field comes first, so that moments are centred. Last, the mean square over the workspace of each
+    machine A, (n_pose, samples).
+    """
+    samples, rows, n = draws.shape
+    points = errors(machines(draws[0, :1])).shape[2]
+    totals = [
+        errors(machines(draws[at][:, [0, -1]].reshape(-1, n))).sum(axis=1)
+        for at in _blocks(samples, 2 * points)
+    ]
+    mean = sum(totals) / (2 * samples)
+    squares, peaks = [], []
+    parts: list[list[Moments]] = [[] for _ in mean]
+    for at in _blocks(samples, rows * points):
+        field = errors(machines(draws[at].reshape(-1, n))).reshape(len(mean), -1, rows, points)
+        plain = field[:, :, [0, -1]]
+        squares.append(np.einsum("csjt,csjt->csj", plain, plain) / points)
+        peaks.append(np.abs(plain).max(axis=-1))
+        for part, y, centre in zip(parts, field, mean, strict=True):
+            part.append(moments(y, centre))
+    fields = []
+    for part in parts:
+        first, total, variance = (np.concatenate(column) for column in zip(*part, strict=True))
+        fields.append((first, total, variance))
+    square, peak = np.hstack(squares), np.hstack(peaks)
+    found = Errors95(
+        rms=np.sqrt(square.mean(axis=(1, 2))),
+        mean=np.sqrt((mean**2).mean(axis=1)),
+        rms_95=np.sqrt(np.quantile(square, 0.95, axis=(1, 2))),
+        peak_95=np.quantile(peak, 0.95, axis=(1, 2)),
+    )
+    return fields, found, square[..., 0]
+
+
+def _worth(
+    errors: Errors, before: np.ndarray, u: np.ndarray, all_: tuple[Tolerance, ...],
+    active: tuple[Tolerance, ...], points: int,
+) -> Worth:  # fmt: skip
+    """Draw the machines A again, one tolerance exact at a time, everything else the same.
+
+    `before`: their mean squares as they were, (n_pose, samples).
+    """
     rows = []
     for t in active:
         exact = replace(t, centre=t.nominal, width=0.0)
         ranges, moved = (tuple(exact if k.name == t.name else k for k in some) for some in (all_, active))
-        rows.append(_falls(before, drawn.squares(_machines(ranges, moved, u))))
+        drawn = _machines(ranges, moved, u)
+        after = [np.square(errors(drawn[at])).mean(axis=2) for at in _blocks(len(u), points)]
+        rows.append(_falls(before, np.hstack(after)))
     return Worth(*np.array(rows).transpose(1, 0, 2))
 
 
