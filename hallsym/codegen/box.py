@@ -1,6 +1,6 @@
 """The calibrated box: the inputs over which generated code answers with status 0."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
@@ -25,13 +25,20 @@ def box_of(
     model = fit.model
     columns = (*model.pose, *model.state, *model.channels)
     ends: dict[str, tuple[float, float]] = {}
-    one_limit = _one_limit((*model.channels, *model.state), entries)
+    named = {c: (f"limit_{short(c)}", f"low_{short(c)}") for c in (*model.channels, *model.state)}
+    one_limit = {c: one in entries for c, (one, two) in named.items() if one in entries or two in entries}
     span = fit.log.span
     for column, reference in zip((*model.pose, *model.state), (*model.references, *model.state), strict=True):
         if column in model.period and reference not in model.absolute:  # what repeats is known all round
             ends[column] = (-model.period[column], model.period[column])
         elif reference in span:
-            ends[column] = _rounded(column, *_recorded(reference, *span[reference]), one_limit.get(column))
+            low, high = span[reference]
+            if not (np.isfinite([low, high]).all() and low <= high):
+                raise InputError(
+                    f"The calibration says that {reference} was recorded from {low:g} to {high:g}, which is "
+                    "no range: fit the log again."
+                )
+            ends[column] = _rounded(column, low, high, one_limit.get(column))
     for column, (low, high) in (given or {}).items():
         require(column in columns, "A range", f"that of one of {', '.join(columns)}", column, columns)
         if not (np.isfinite([low, high]).all() and low < high):
@@ -67,26 +74,6 @@ def shortened(fit: Fit, box: Box) -> list[str]:
                     "--params-only both ends are kept."
                 )
     return out
-
-
-def _one_limit(columns: Sequence[str], entries: Collection[str]) -> dict[str, bool]:
-    """Return whether a table has one limit for both ends of a column, where it has any."""
-    found = {}
-    for column in columns:
-        if f"limit_{short(column)}" in entries:
-            found[column] = True
-        elif f"low_{short(column)}" in entries:
-            found[column] = False
-    return found
-
-
-def _recorded(column: str, low: float, high: float) -> tuple[float, float]:
-    if not (np.isfinite([low, high]).all() and low <= high):
-        raise InputError(
-            f"The calibration says that {column} was recorded from {low:g} to {high:g}, which is no range: "
-            "fit the log again."
-        )
-    return low, high
 
 
 def _rounded(column: str, low: float, high: float, one_limit: bool | None) -> tuple[float, float]:

@@ -29,7 +29,6 @@ from hallsym.codegen.naming import (
     check_prefix,
     mapping,
     renamed,
-    renamed_files,
 )
 from hallsym.codegen.observer import Observer
 from hallsym.codegen.templates import LICENSE
@@ -156,12 +155,8 @@ def generate(
         observer = Observer(**{**chosen["observer"], "said": tuple(chosen["observer"].get("said", ()))})
     kept = accepted_of(before)
     if arithmetic == "q31":
-        for option, unwanted in (
-            ("double", double),
-            ("jacobian", jacobian),
-            ("predict", observer is not None),
-        ):
-            if unwanted:
+        for option, wanted in {"double": double, "jacobian": jacobian, "predict": observer}.items():
+            if wanted:
                 raise InputError(f"--{option} belongs to --arithmetic float; leave it out, or the integers.")
         backend: Backend = _integers(fit, record, box, given, chosen.get("plan"), ranges or {}, kept)
     else:
@@ -174,7 +169,11 @@ def generate(
         *shortened(fit, box),
         *(f"Column {quoted(c)} is {made} in C." for c, made in named.items()),
     )
-    return Generated(backend, renamed_files(backend.files(errors, notes), name), errors, notes, name)
+    files = {
+        renamed(path, name): renamed(content, name) if isinstance(content, str) else content
+        for path, content in backend.files(errors, notes).items()
+    }
+    return Generated(backend, files, errors, notes, name)
 
 
 def _check_names(d: Decoupler) -> None:
@@ -214,14 +213,9 @@ def _floats(
 
 
 def _integers(
-    fit: Fit,
-    record: Mapping[str, Any],
-    box: Box,
-    given: Mapping[str, Any],
-    plan: Sequence[int] | None,
-    ranges: Collection[str],
-    kept: Ends | None,
-) -> IntegerBackend:
+    fit: Fit, record: Mapping[str, Any], box: Box, given: Mapping[str, Any], plan: Sequence[int] | None,
+    ranges: Collection[str], kept: Ends | None,
+) -> IntegerBackend:  # fmt: skip
     if fit.model.family.decoder == "wave":
         raise float_instead(fit.model)
     options = options_of(lowering_of(fit.model))

@@ -5,7 +5,7 @@ written with the prefix `decoupler`; `renamed` gives a decoupler its own, so tha
 """
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 from hallsym.errors import InputError, quoted
 from hallsym.output import commented
@@ -124,11 +124,3 @@ def renamed(text: str, prefix: str) -> str:
         return text
     text = re.sub(rf"\b{PREFIX}(?=_[a-z]|\.[a-z])", prefix, text)
     return re.sub(rf"(?<![A-Za-z0-9]){PREFIX.upper()}(?=_[A-Z])", prefix.upper(), text)
-
-
-def renamed_files(files: Mapping[str, str | bytes], prefix: str) -> dict[str, str | bytes]:
-    """Return generated files with another prefix, in their names and in their texts."""
-    return {
-        renamed(path, prefix): renamed(content, prefix) if isinstance(content, str) else content
-        for path, content in files.items()
-    }

@@ -155,7 +155,14 @@ def _raw(fit: Fit, model: Model, motor_steps: int | None, layout: Layout) -> tup
         centres = given.mean(axis=1)
         period = model.period[model.pose[0]]
         raw = np.unwrap(np.ravel(pose([*(given - centres[:, None])])[0]), period=period)
-        _check_periods(raw, round(TURN / period), layout)
+        pairs, waves = round(TURN / period), np.abs(np.fft.rfft(raw - _sense(raw) * ANGLE))
+        others = np.delete(waves, np.arange(0, len(waves), pairs))
+        if layout is not CSV and np.sqrt((others**2).sum()) > SAME * np.sqrt((waves[1:] ** 2).sum()):
+            raise InputError(  # its firmware does not know in which period it is
+                f"This table differs from one period to the next, and a firmware of {layout.about} counts "
+                f"the {pairs} periods from where it is switched on: fit with --effect "
+                f"turn_waves:count=4,step={pairs}, or give --table csv."
+            )
     else:
         raw = np.unwrap(given[0] if len(given) == 1 else np.arctan2(*given))
     sense = _sense(raw)
@@ -170,18 +177,6 @@ def _raw(fit: Fit, model: Model, motor_steps: int | None, layout: Layout) -> tup
             f"No angle belongs to each reading of this calibration of {model.name}: no table undoes it."
         )
     return raw, centres
-
-
-def _check_periods(raw: np.ndarray, pairs: int, layout: Layout) -> None:
-    """Refuse an error that differs between periods, for a firmware that does not know in which one it is."""
-    waves = np.abs(np.fft.rfft(raw - _sense(raw) * ANGLE))
-    others = np.delete(waves, np.arange(0, len(waves), pairs))
-    if layout is not CSV and np.sqrt((others**2).sum()) > SAME * np.sqrt((waves[1:] ** 2).sum()):
-        raise InputError(
-            f"This table differs from one period to the next, and a firmware of {layout.about} counts the "
-            f"{pairs} periods from where it is switched on: fit with --effect "
-            f"turn_waves:count=4,step={pairs}, or give --table csv."
-        )
 
 
 def _sense(values: np.ndarray) -> int:

@@ -176,7 +176,17 @@ def sort_sensors(
         readings = readings_from(readings, fields)
     sensor, gain, offset = _lines(readings, readings.value)
     at, drift = np.flatnonzero(np.isfinite(gain)), None
-    _check_gains(gain[at], readings)
+    if not len(at):
+        raise InputError(
+            f"The fields of {readings.where} must differ: a gain is the change of a sensor's reading between"
+            " two known fields, and no sensor was read in two."
+        )
+    if np.median(gain[at]) <= 0:
+        raise InputError(
+            f"The readings of {readings.where} fall as the field grows (median gain"
+            f" {np.median(gain[at]):.3g} {readings.gain_unit}); state the fields, or the readings, with the"
+            " other sign."
+        )
     if readings.reference is not None:
         drift = _drift(_lines(readings, readings.reference)[1], readings)
         gain = gain / drift
@@ -236,20 +246,6 @@ def _lines(readings: Readings, values: Array) -> tuple[Array, Array, Array]:
     np.maximum.at(ended, readings.measurement, readings.time)
     order = np.argsort(ended, kind="stable")
     return sensor[order], gain[order], (mean_v - gain * mean_b)[order]
-
-
-def _check_gains(gain: Array, readings: Readings) -> None:
-    if not len(gain):
-        raise InputError(
-            f"The fields of {readings.where} must differ: a gain is the change of a sensor's reading between"
-            " two known fields, and no sensor was read in two."
-        )
-    if np.median(gain) <= 0:
-        raise InputError(
-            f"The readings of {readings.where} fall as the field grows (median gain"
-            f" {np.median(gain):.3g} {readings.gain_unit}); state the fields, or the readings, with the other"
-            " sign."
-        )
 
 
 def _drift(gain: Array, readings: Readings) -> Array:
