@@ -82,10 +82,11 @@ def accepted_of(record: Mapping[str, Any]) -> Ends | None:
     if not all(isinstance(part, list) for part in parts):
         return None
     for entry in (entry for part in parts for entry in part):
-        ends = [entry.get(side) for side in ("least", "greatest")] if isinstance(entry, dict) else [None]
+        ends: list[Any] = [entry.get(k) for k in ("least", "greatest")] if isinstance(entry, dict) else [None]
         if not all(isinstance(end, int | float) for end in ends):
             return None
-        found[str(entry.get("name"))] = (float(ends[0]), float(ends[1]))
+        low, high = map(float, ends)
+        found[str(entry.get("name"))] = (low, high)
     return found or None
 
 

@@ -136,8 +136,8 @@ def _errors_by_cells(d: Decoupler, digits: int) -> np.ndarray:
     before = {name: float(e.error) for name, e in given.items()}
 
     def bounded(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        ends = zip(names, low, high, strict=True)
-        known = given | {name: Enclosure(*both, before[name]) for name, *both in ends}
+        cell = zip(names, low, high, strict=True)
+        known = given | {name: Enclosure(least, most, before[name]) for name, least, most in cell}
         worked = [
             [Enclosure(v.low - v.error, v.high + v.error) for v in values]
             for _, values, _ in enclosed_steps(steps, graphs, known, digits)

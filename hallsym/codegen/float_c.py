@@ -69,27 +69,19 @@ def statements(
         left = results.get(step.name, f"const {real.name} {step.name}")
         lines += [f"/* {commented(step.remark)} */"] if step.remark else []
         if isinstance(step, Whole | Bits):
-            left, text = f"const uint32_t {step.name}", _bits(step)
+            source = step.expression.name()
+            left, text = f"const uint32_t {step.name}", f"(uint32_t){source}"
+            if isinstance(step, Bits):
+                cut = f"& 0x{(1 << step.first) - 1:X}U" if step.below else f">> {step.first}U"
+                text = f"{source} {cut}"
             names[step.name] = f"({real.name}){step.name}"
-        elif isinstance(step, Lookup):
-            text = _entry(step, real)
+        elif isinstance(step, Lookup):  # p->name[cell & 63U]: an index within the array whatever the cell
+            cell, size = step.expression.name(), len(step.array.values)
+            place = f"({cell} + {step.ahead % size}U)" if step.ahead else cell
+            text = f"p->{step.array.name}[{place} & {size - 1}U]"
+            text = f"({real.name}){text}" if step.array.integers else text
         lines.append(f"{left} = {text};")
     return lines
-
-
-def _bits(step: Whole | Bits) -> str:
-    source = step.expression.name()
-    if isinstance(step, Whole):
-        return f"(uint32_t){source}"
-    return f"{source} & 0x{(1 << step.first) - 1:X}U" if step.below else f"{source} >> {step.first}U"
-
-
-def _entry(step: Lookup, real: Real) -> str:
-    """Return `p->name[cell & 63U]`: an index that lies within the array whatever the cell."""
-    cell, size = step.expression.name(), len(step.array.values)
-    place = f"({cell} + {step.ahead % size}U)" if step.ahead else cell
-    entry = f"p->{step.array.name}[{place} & {size - 1}U]"
-    return f"({real.name}){entry}" if step.array.integers else entry
 
 
 def _text(step: Step, names: Mapping[str, str], real: Real) -> tuple[list[str], str]:

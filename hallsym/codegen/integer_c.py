@@ -75,9 +75,13 @@ class AngleTable:
 
     def __post_init__(self) -> None:
         """Refuse what could overflow."""
-        wide = np.abs(np.diff(self.values, append=self.values[:1])).max()
-        if wide * 2.0**self.shift >= 2**30 or np.abs(self.values).max() * 2.0**self.shift >= 2**30:
+        if self.wide * 2.0**self.shift >= 2**30 or np.abs(self.values).max() * 2.0**self.shift >= 2**30:
             raise InputError("The correction does not fit into 32 bits; use float.")
+
+    @property
+    def wide(self) -> float:
+        """Largest difference of neighbouring entries."""
+        return float(np.abs(np.diff(self.values, append=self.values[:1])).max())
 
     @property
     def first(self) -> int:
@@ -97,8 +101,7 @@ class AngleTable:
     @property
     def error(self) -> float:
         """Bound of |at - straight lines between the entries| [rad]: what bits that are cut off change."""
-        wide = float(np.abs(np.diff(self.values, append=self.values[:1])).max()) * 2.0**self.shift
-        return UNIT * (wide * 2.0**-FINE + 2)
+        return UNIT * (self.wide * 2.0 ** (self.shift - FINE) + 2)
 
 
 FRAGMENTS = "q31/fragments/"

@@ -72,6 +72,6 @@ def lines_of(name: str, fields: Mapping[str, Any]) -> list[str]:
             out += [f"{alone[1]}{row}" if row else "" for row in rows]
         else:
             line = FIELD.sub(lambda found: str(fields[found[1].lower()]), line)
-            for record in fields[each[1]] if each else [{}]:
-                out.append(RECORD.sub(lambda found, own=record: str(own[found[2]]), line))
+            records = [record.__getitem__ for record in fields[each[1]]] if each else [str]
+            out += [RECORD.sub(lambda found, of=of: str(of(found[2])), line) for of in records]
     return out

@@ -38,11 +38,6 @@ def test_a_circle_has_its_length_and_extent():
         curve(2.0)
 
 
-def test_the_cycloid_is_eight_radii_long():
-    curve = through("bernstein-chebyshev", 21)
-    assert curve.length() == pytest.approx(8e-3, rel=1e-8)
-
-
 @pytest.mark.parametrize("method", METHODS, ids=lambda m: m.name)
 def test_json_gives_the_same_curve(method, tmp_path):
     curve = Target(cycloid()).made(method, 14, 7)

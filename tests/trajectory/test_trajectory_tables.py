@@ -32,11 +32,6 @@ def test_table_3(basis, count, first, second):
         )
 
 
-def test_table_3_with_21_points_reaches_the_rounding_of_float64():
-    assert sampled(through("bernstein", 21)) <= 4e-9  # um: 4e-6 nm
-    assert 1e6 * bound(through("bernstein", 21), cycloid()).at_most < 4e-9
-
-
 def test_table_3_needs_12_points_not_11_and_16_in_the_trigonometric_basis():
     limit = 0.05e-6
     for basis, fewest in (("bernstein", 12), ("trigonometric", 16)):
