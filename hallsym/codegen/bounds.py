@@ -30,38 +30,27 @@ class Bounds:
     least_gain: Mapping[str, float]
 
 
-def least_gains(d: Decoupler) -> dict[str, float]:
-    """Return by column what the terms of each margin leave of it within the limits, as a share of its rest.
-
-    The largest magnitude of each term, summed: exact where the box is symmetric and the columns independent.
-    """
-    values, reach = {e.name: abs(e.value) for e in d.table}, d.box.reach()
-    return {
-        m.column: 1 - sum(values[e] * prod(reach[c] for c in own) for e, own in m.terms) / values[m.rest]
-        for m in d.margins
-    }
-
-
 def pose_bounds(d: Decoupler, digits: int = 24) -> Bounds:
     """Return the bounds of one table, by interval arithmetic on the printed expressions."""
     if d.bounded is None:
-        found = _enclosed(d, d.steps, digits)[-len(d.pose) :]
+        found = enclosed(d, d.steps, digits)[-len(d.pose) :]
         if d.at_pose:  # an iteration takes each value again: over the whole box its error grows in each round
             errors = _errors_by_cells(d, digits)
             found = [replace(e, error=np.fmin(e.error, own)) for e, own in zip(found, errors, strict=True)]
     else:
         found = list(d.bounded(digits).values())
+    values, reach = {e.name: abs(e.value) for e in d.table}, d.box.reach()
+    # what the largest terms leave of a margin: exact where the box is symmetric and the columns independent
+    least = {
+        m.column: 1 - sum(values[e] * prod(reach[c] for c in own) for e, own in m.terms) / values[m.rest]
+        for m in d.margins
+    }
     return Bounds(
         low=dict(zip(d.pose, (e.low for e in found), strict=True)),
         high=dict(zip(d.pose, (e.high for e in found), strict=True)),
         error=dict(zip(d.pose, (e.error for e in found), strict=True)),
-        least_gain=least_gains(d),
+        least_gain=least,
     )
-
-
-def step_errors(d: Decoupler, steps: Sequence[Step], digits: int = 24) -> list[float]:
-    """Return how far each computed step can be from its expression, over the box, table included."""
-    return [float(e.error) for e in _enclosed(d, steps, digits)]
 
 
 FOLDED = 16
@@ -70,13 +59,8 @@ FOLDED = 16
 Entries are sums of a few products of the inverse of a well-conditioned matrix; the largest seen is 4."""
 
 
-def _entry(value: float, digits: int) -> Enclosure:
-    """Return the enclosure of a table entry: rounded where it is computed and where it is stored."""
-    stored = constant(value, digits)
-    return replace(stored, error=stored.error + FOLDED * 2.0**-53 * abs(value))
-
-
-def _enclosed(d: Decoupler, steps: Sequence[Step], digits: int) -> list[Enclosure]:
+def enclosed(d: Decoupler, steps: Sequence[Step], digits: int) -> list[Enclosure]:
+    """Return the enclosure of each step over the box; errors count those of the table."""
     graphs = [graph([step.expression]) for step in steps]
     return [found for _, _, found in enclosed_steps(steps, graphs, _given(d, digits), digits)]
 
@@ -101,11 +85,13 @@ def enclosed_steps(
 
 
 def _given(d: Decoupler, digits: int) -> dict[str, Enclosure]:
-    """Return the enclosures of inputs, over the box, and of entries."""
+    """Return the enclosures of inputs, over the box, and of entries, rounded as they are made and stored."""
     dtype = np.float32 if digits == 24 else np.float64
-    return {d.symbols[c].name(): Enclosure(*(float(dtype(v)) for v in d.ends(c))) for c in d.inputs} | {
-        d.symbols[e.name].name(): _entry(e.value, digits) for e in (*d.table, *d.offsets)
-    }
+    found = {d.symbols[c].name(): Enclosure(*(float(dtype(v)) for v in d.ends(c))) for c in d.inputs}
+    for e in (*d.table, *d.offsets):
+        error = constant(e.value, digits).error + FOLDED * 2.0**-53 * abs(e.value)
+        found[d.symbols[e.name].name()] = Enclosure(e.value, e.value, error)
+    return found
 
 
 CELLS = 512

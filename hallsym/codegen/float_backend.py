@@ -11,7 +11,7 @@ import numpy as np
 
 from hallsym.codegen import accepted, backend, residual
 from hallsym.codegen.backend import VERSION, Backend, Port, Stored, ends, listed
-from hallsym.codegen.bounds import Bounds, pose_bounds, step_errors
+from hallsym.codegen.bounds import Bounds, enclosed, pose_bounds
 from hallsym.codegen.cost import firmware_cost
 from hallsym.codegen.decoupler import ROOT, Array, Decoupler, Entry, Step, short, steps_on_arrays, unit
 from hallsym.codegen.float_c import Real, shared_steps, statements
@@ -72,7 +72,8 @@ class Slopes:
 
     def errors(self, real: Real) -> list[float]:
         """Return how far each computed slope can be from its expression over the box, table included."""
-        return step_errors(self.d, self.steps, real.digits)[-len(self.expressions) :]
+        found = enclosed(self.d, self.steps, real.digits)[-len(self.expressions) :]
+        return [float(e.error) for e in found]
 
 
 @dataclass(frozen=True, eq=False)

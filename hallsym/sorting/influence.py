@@ -82,12 +82,16 @@ def influence_of_gains(
     """
     p, space, s = model.vector(dict(values or {})), _workspace(model, where), model.symbols
     reading = ca.substitute(s.full(s.reading), s.offsets, ca.SX.zeros(len(model.offsets)))
-    part = ca.vertcat(*(_part(model, reading, k) for k in range(len(model.channels))))
+    symbols, parts = dict(zip(model.names, ca.vertsplit(s.parameters), strict=True)), []
+    for k, own in enumerate(_gains(model)):
+        along = ca.vertcat(*(symbol if name in own else ca.SX(0) for name, symbol in symbols.items()))
+        parts.append(ca.jtimes(reading[k], s.parameters, along) if own else reading[k])
+    part = ca.vertcat(*parts)  # of each reading, that is proportional to its gain
     weight = np.ones(len(model.channels))
     slope = model.noise_gain_at(s.parameters, s.pose, s.state, weight) @ ca.diag(part)
     given, made = [s.parameters, s.pose, s.state], [ca.densify(x) for x in (slope, reading, part)]
     found = on_arrays(ca.Function("influence", given, made))(p, space.pose, space.state)
-    flat, read, parts = (np.broadcast_to(x, (len(x), space.points)) for x in found)
+    flat, read, own_parts = (np.broadcast_to(x, (len(x), space.points)) for x in found)
     error = flat.reshape(len(model.channels), len(model.pose), space.points).transpose(1, 2, 0)
     if not np.isfinite(error).all():
         raise InputError(
@@ -99,18 +103,7 @@ def influence_of_gains(
             f"The gains of model {model.name} do not move its pose in this workspace; there is nothing"
             " to match."
         )
-    return Influence(model, p, space, error, read, parts, model.family.pose_metric.weights(model.pose))
-
-
-def _part(model: Model, reading: ca.SX, channel: int) -> ca.SX:
-    """The part of the reading of a channel that is proportional to its gain."""
-    s = model.symbols
-    own = _gains(model)[channel]
-    if not own:
-        return reading[channel]
-    symbols = zip(model.names, ca.vertsplit(s.parameters), strict=True)
-    along = ca.vertcat(*(symbol if name in own else ca.SX(0) for name, symbol in symbols))
-    return ca.jtimes(reading[channel], s.parameters, along)
+    return Influence(model, p, space, error, read, own_parts, model.family.pose_metric.weights(model.pose))
 
 
 def _gains(model: Model) -> list[set[str]]:

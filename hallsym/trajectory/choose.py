@@ -18,7 +18,7 @@ from hallsym.errors import InputError, nearest
 from hallsym.output import Step
 from hallsym.trajectory.bounds import bound, is_polyline
 from hallsym.trajectory.curve import Curve, FgForm, Form, SplineForm
-from hallsym.trajectory.factorisation import BASES, BERNSTEIN, Basis, factorise, orthogonalise
+from hallsym.trajectory.factorisation import BASES, BERNSTEIN, factorise, orthogonalise
 from hallsym.trajectory.nominal import Nominal, nominal, read_span
 from hallsym.trajectory.points import Points, points_of, read_points
 
@@ -55,21 +55,16 @@ class Method:
     nodes: Callable[[int], Array] = lambda n: np.linspace(0.0, 1.0, n)
 
 
-def inside(basis: Basis, u: Array) -> Array:
-    """Return parameters of the basis for shares u of its interval, the ends exactly."""
-    return np.clip(basis.start + u * (basis.stop - basis.start), basis.start, basis.stop)
+def accurate(name: str, u: Array, points: Array, control: int = 0) -> Form:
+    """Put a curve in an fg-Bernstein basis through points, with high relative accuracy.
 
-
-def interpolated(name: str, u: Array, points: Array, control: int = 0) -> Form:
-    """Put a curve in an fg-Bernstein basis through points, with high relative accuracy."""
+    With `control` points of its own it is fitted to them by least squares.
+    """
     basis = BASES[name]
-    return FgForm(basis, factorise(basis, inside(basis, u)).solve(points))
-
-
-def fitted(name: str, u: Array, points: Array, control: int) -> Form:
-    """Fit a curve in an fg-Bernstein basis to points by least squares, with high relative accuracy."""
-    basis = BASES[name]
-    return FgForm(basis, orthogonalise(factorise(basis, inside(basis, u), control)).solve(points))
+    t = np.clip(basis.start + u * (basis.stop - basis.start), basis.start, basis.stop)
+    if control:
+        return FgForm(basis, orthogonalise(factorise(basis, t, control)).solve(points))
+    return FgForm(basis, factorise(basis, t).solve(points))
 
 
 def by_elimination(u: Array, points: Array, control: int = 0) -> Form:
@@ -90,19 +85,19 @@ def spline(degree: int, u: Array, points: Array, control: int = 0) -> Form:
 
 
 METHODS = (
-    Method("bernstein", "Bernstein, HRA", partial(interpolated, "bernstein")),
+    Method("bernstein", "Bernstein, HRA", partial(accurate, "bernstein")),
     Method(
-        "bernstein-chebyshev", "Bernstein, HRA, Chebyshev nodes", partial(interpolated, "bernstein"),
+        "bernstein-chebyshev", "Bernstein, HRA, Chebyshev nodes", partial(accurate, "bernstein"),
         nodes=chebyshev_nodes,
     ),
-    Method("trigonometric", "trigonometric, HRA", partial(interpolated, "trigonometric")),
+    Method("trigonometric", "trigonometric, HRA", partial(accurate, "trigonometric")),
     Method("bernstein-lu", "Bernstein, LU", by_elimination),
     Method(
-        "bernstein-ls", "Bernstein, least squares, HRA", partial(fitted, "bernstein"), most=MOST_FITTED,
+        "bernstein-ls", "Bernstein, least squares, HRA", partial(accurate, "bernstein"), most=MOST_FITTED,
         fitted=True,
     ),
     Method(
-        "trigonometric-ls", "trigonometric, least squares, HRA", partial(fitted, "trigonometric"),
+        "trigonometric-ls", "trigonometric, least squares, HRA", partial(accurate, "trigonometric"),
         most=MOST_FITTED, fitted=True,
     ),
     Method("linear", "polyline", partial(spline, 1), most=MOST_SPLINE),

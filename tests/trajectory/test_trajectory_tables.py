@@ -6,7 +6,7 @@ from cycloid import WHOLE, cycloid, sampled, through
 
 from hallsym.families.published import table
 from hallsym.trajectory import Curve, bound, choose_curve
-from hallsym.trajectory.choose import fitted
+from hallsym.trajectory.choose import accurate
 
 
 @pytest.mark.parametrize(
@@ -67,7 +67,7 @@ def test_table_4(points, basis, control, printed):
 def of_interior(basis: str, points: int, control: int) -> Curve:
     """Points as in the article: without the ends of the range."""
     u = np.arange(1, points + 1) / (points + 1)
-    return Curve(fitted(basis, u, cycloid()(u * WHOLE), control), 0.0, WHOLE)
+    return Curve(accurate(basis, u, cycloid()(u * WHOLE), control), 0.0, WHOLE)
 
 
 def test_table_4_leaves_out_the_ends_where_the_error_is_larger():
