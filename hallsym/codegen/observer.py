@@ -91,10 +91,10 @@ class Observer:
             n = max(n + 1, ceil(1.01 * n))
         return n
 
-    def entries(self, d: Decoupler, reach: dict[str, float]) -> tuple[Entry, ...]:
-        """Return its entries of the table; `reach`: largest travel of each pose coordinate."""
+    def behind(self, d: Decoupler, reach: dict[str, float]) -> Decoupler:
+        """Return a decoupler with this observer behind it; `reach`: largest travel of each coordinate."""
         longest = LONGEST * self.period_s
-        return (
+        entries = (
             # a share and a held speed: whatever table is accepted, the observed position does not grow
             Entry("observer_position", self.position, "1", "share of a new pose in the position", "share"),
             Entry("observer_speed", self.speed, "1/s", "what a new pose adds to the observed speed", "sign"),
@@ -106,10 +106,6 @@ class Observer:
                 for c in d.pose
             ),
         )  # fmt: skip
-
-    def behind(self, d: Decoupler, reach: dict[str, float]) -> Decoupler:
-        """Return a decoupler with this observer behind it."""
-        entries = self.entries(d, reach)
         symbols = {**d.symbols, **{e.name: ca.SX.sym(e.name) for e in entries}}
         return replace(
             d, table=(*d.table, *entries), symbols=symbols, observed=True, said=(*d.said, *self.said)

@@ -196,7 +196,10 @@ def study(
     if m == 0:
         raise InputError(f"Every parameter of {model.name} is fixed; there is nothing to plan for.")
     names, gradients = _quantities(model, p, scale, null, basis)
-    slopes = _workspace(ranges, model, p) @ basis
+    points = corners(ranges.box, (*model.pose, *model.state))
+    pose, state = np.split(points.T, [len(model.pose)])
+    still = np.zeros((len(model.offsets), len(points)))
+    slopes = influence(model, p, list(still), list(pose), list(state)).parameters @ basis
     return Study(
         model=model,
         values=values,
@@ -234,11 +237,3 @@ def _quantities(
             rows[named.expression] = combination(model, named).first(p)[1]
     kept = {name: row for name, row in rows.items() if determined(row)}
     return tuple(kept), np.array(list(kept.values())).reshape(-1, len(p))
-
-
-def _workspace(ranges: Ranges, model: Model, p: np.ndarray) -> np.ndarray:
-    """Slopes of the decoded position at corners, face centres and centre of the ranges, by parameter."""
-    points = corners(ranges.box, (*model.pose, *model.state))
-    rest = np.zeros((len(model.offsets), len(points)))
-    pose, state = np.split(points.T, [len(model.pose)])
-    return influence(model, p, list(rest), list(pose), list(state)).parameters

@@ -201,8 +201,13 @@ def error_model(model: Model, values: Mapping[str, float], **about: Any) -> Erro
     """
     plain = about.pop("plain", None) or without_effects(model)
     model.vector(values)
-    groups = {DEVIATION: {n: v for n, v in values.items() if n in plain.names}}
-    for effect, own in _parameters_by_effect(model, plain).items():
+    groups, built = {DEVIATION: {n: v for n, v in values.items() if n in plain.names}}, plain
+    for effect in model.effects:
+        if effect in built.effects:
+            continue
+        text = model.texts.get(effect, effect)
+        before, built = built, effect_named(text, built).added(built, text)
+        own = [n for n in built.names if n not in before.names]
         groups[effect] = {n: v for n, v in values.items() if n in own}
         if own and not groups[effect]:
             raise InputError(
@@ -216,15 +221,3 @@ def error_model(model: Model, values: Mapping[str, float], **about: Any) -> Erro
         groups[TOGETHER] = dict(values)
     found = tuple((n, v, errors_along(model, v, plain=plain, **about)) for n, v in groups.items())
     return ErrorModel(model, about.get("decoder", LEAST_SQUARES), dict(about.get("at") or {}), found)
-
-
-def _parameters_by_effect(model: Model, plain: Model) -> dict[str, tuple[str, ...]]:
-    """Return the parameters that each effect adds, in the order of the effects."""
-    out, built = {}, plain
-    for effect in model.effects:
-        if effect not in built.effects:
-            text = model.texts.get(effect, effect)
-            wider = effect_named(text, built).added(built, text)
-            out[effect] = tuple(n for n in wider.names if n not in built.names)
-            built = wider
-    return out
