@@ -153,13 +153,13 @@ _LADDERS: dict[str, tuple[tuple[float, str], ...]] = {
     "v": ((1e6, "uV"), (1e3, "mV"), (1.0, "V")),
     "s": ((1e3, "ms"), (1.0, "s")),
     "1": ((1e6, "ppm"), (1.0, "1")),
-    "turn": ((1e3 / _DEGREE, "mdeg"), (1 / _DEGREE, "deg")),
+    "turn": ((1 / _DEGREE, "deg"),),
 }
 """SI unit -> factors and units, small to large; "turn" is an angle that goes round."""
 _TABLES = {"m": "um", "rad": "urad", "v": "mV", "s": "ms", "turn": "deg"}
 """The step of the ladder that tables of text use, whatever the size of the value."""
 _RATES = {"degc": (1.0, "degC"), "m/s": (1e3, "mm/s"), "v/s": (1.0, "V/s"), "rad/s": (30 / math.pi, "rpm")}
-_BELOW = {"um": 0.02, "urad": 0.02, "deg": 0.5}
+_BELOW = {"um": 0.02, "urad": 0.02}
 _ABOVE = {"um": 2e3, "urad": 2e4, "mm": 500.0, "mrad": 500.0, "mV": 500.0, "ms": 500.0}
 """A picture steps down where its largest value is below the one, and up where it is above the other."""
 _TURNING = re.compile(r"angle\w*")

@@ -160,7 +160,7 @@ def test_the_waves_of_an_error_over_x_are_counted():
 
 def test_pictures_of_a_fit_are_drawn(tmp_path):
     from hallsym.report.drawing import save
-    from hallsym.report.figures.campaign import fit_figure
+    from hallsym.report.results.fit import fit_figure
 
     log, fit = fitted(ARRAY)
     written = save({"errors": lambda: fit_figure(log, fit)}, tmp_path)

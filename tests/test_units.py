@@ -30,13 +30,13 @@ def test_a_picture_stays_near_the_unit_of_the_tables():
     lengths = {15e-9: "nm", 300e-6: "um", 0.0019: "um", 0.0195: "mm", 2.0: "m", math.nan: "um"}
     assert [scaled("x_m", v)[1] for v in lengths] == [*lengths.values()]
     assert (scaled("rz_rad", 0.1), scaled("temperature_degc", 60.0)) == ((1e3, "mrad"), (1.0, "degC"))
-    assert [scaled("a_rad", v, {"a_rad": 6.28})[1] for v in (1e-4, 0.1, 100.0)] == ["mdeg", "deg", "deg"]
+    assert [scaled("a_rad", v, {"a_rad": 6.28})[1] for v in (1e-4, 0.1, 100.0)] == ["deg", "deg", "deg"]
     assert [scaled("v_cos_v", v)[1] for v in (1e-6, 0.1, 1.0)] == ["mV", "mV", "V"]
 
 
 def test_a_budget_takes_the_smallest_unit_that_stays_below_a_thousand():
     assert [fitting("m", v)[1] for v in (1e-7, 1e-6, 2e-3, 5.0)] == ["nm", "um", "mm", "m"]
-    assert fitting("rad", 1e-3, turns=True)[1] == "mdeg"
+    assert fitting("rad", 1e-3, turns=True)[1] == "deg"
     assert fitting("1", 2e-6)[1] == "ppm"
     assert fitting("t", 2e-6) == (1.0, "t")
 

@@ -18,14 +18,15 @@ from hallsym.errors import InputError
 from hallsym.estimation import Fit, load_fit
 from hallsym.log import Noise, check_noise_keys
 from hallsym.report.content import Block
-from hallsym.report.figures.uncertainty import budget_bars, uncertainty_picture
 from hallsym.report.results.budget import (
+    budget_bars,
     budget_content,
     comparison_table,
     curve_blocks,
     position_content,
     position_words,
     recorded_table,
+    uncertainty_picture,
 )
 from hallsym.trajectory import Curve, read_curve
 from hallsym.uncertainty import Budget, Recorded, Settings, UncertaintyMap, uncertainty_map, with_curve

@@ -225,7 +225,7 @@ def fit_pictures(
     options: Namespace, log: Log, result: Fit, folder: str | Path | None = None
 ) -> list[Path]:  # fmt: skip
     """Save the picture of a fit where `plots` would."""
-    from hallsym.report.figures.campaign import fit_figure
+    from hallsym.report.results.fit import fit_figure
 
     draw = {"errors_by_setting": lambda: fit_figure(log, result, result.keep)}
     return plots(options, draw, log.path, result.model.name, folder=folder)

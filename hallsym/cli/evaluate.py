@@ -19,8 +19,13 @@ from hallsym.inference import FALSE_ALARM, Belonging, belonging, check_false_ala
 from hallsym.log import Fault
 from hallsym.report.content import printed, text_of
 from hallsym.report.data.periodic import periodic_of
-from hallsym.report.figures.campaign import evaluation_figure
-from hallsym.report.results.evaluation import Judged, belonging_blocks, chart, evaluation_content
+from hallsym.report.results.evaluation import (
+    Judged,
+    belonging_blocks,
+    chart,
+    evaluation_content,
+    evaluation_figure,
+)
 
 EPILOG = """\
 exit codes: 0 every log belongs; 1 one does not; 2 bad input, or a log could not be decoded; 3 the

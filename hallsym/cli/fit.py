@@ -123,7 +123,7 @@ def _without_reference(options: Namespace, machine: Machine) -> int:
         log, options.model, options.reference, effects=options.effect,
         parameters=machine.parameters,
     )  # fmt: skip
-    from hallsym.report.figures.self_calibration import waves_figure
+    from hallsym.report.results.self_calibration import waves_figure
 
     if options.output:
         result.save(options.output)

@@ -20,7 +20,7 @@ from hallsym.families.machine_file import Machine, read_machine
 from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.records import named
-from hallsym.report.figures.plan import coverage
+from hallsym.report.results.plan import coverage
 from hallsym.report.views import content
 from hallsym.simulation import is_the_papers, table8_noise, write_campaign
 from hallsym.units import read_quantity

@@ -17,7 +17,7 @@ from hallsym.families import build
 from hallsym.families.machine_file import read_machine
 from hallsym.files import write_json
 from hallsym.inference import Identifiability, identify
-from hallsym.report.figures.sensitivity import drawable
+from hallsym.report.results.identifiability import drawable
 from hallsym.report.results.shared import few
 from hallsym.simulation import campaign_from, paper_campaign, read_campaign
 

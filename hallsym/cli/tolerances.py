@@ -12,7 +12,7 @@ from hallsym.cli import OK, common
 from hallsym.errors import InputError
 from hallsym.families.machine_file import read_machine
 from hallsym.model import Model
-from hallsym.report.figures.uncertainty import errors_along
+from hallsym.report.results.tolerances import errors_along
 from hallsym.simulation.paper import DESIGNED
 from hallsym.uncertainty import error_model
 from hallsym.uncertainty.ranges import read_tolerances, read_value

@@ -2,12 +2,15 @@
 
 Every figure of a page, of a file and of a session is a `Picture`; `hallsym.report.drawing` draws it. A layer
 draws itself over the axes of matplotlib, which is imported only then.
+
+Colours differ in lightness and every series has its own dash or marker, so that a greyscale print can be
+read. Those of a fit follow Figures 9 to 12 of Chen et al., Sensors 2016, 16, 872, doi:10.3390/s16060872.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,6 +34,10 @@ class Axis:
     log: bool = False
     names: Sequence[str] | None = None
     most: int = 4
+
+    def outer(self, is_outer: bool) -> Axis:
+        """Return the axis, without title and numbers unless it is the outer one of several equal ones."""
+        return self if is_outer else replace(self, title="", names=())
 
 
 Layer = Callable[["Axes"], Any]

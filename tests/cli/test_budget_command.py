@@ -9,7 +9,7 @@ from twins import record, with_noise
 
 from hallsym.estimation import Fit, load_fit
 from hallsym.report.drawing import draw
-from hallsym.report.figures.uncertainty import PALEST, budget_bars, uncertainty_picture
+from hallsym.report.results.budget import PALEST, budget_bars, uncertainty_picture
 from hallsym.uncertainty import Settings, over_log, position_budget, uncertainty_map
 
 ROOT = Path(__file__).resolve().parents[2]

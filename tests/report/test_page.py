@@ -21,7 +21,7 @@ from hallsym.report.content import document
 from hallsym.report.data.gather import gather
 from hallsym.report.data.survey import worst_first
 from hallsym.report.drawing import svg
-from hallsym.report.figures.errors import ACROSS, UP, script_data
+from hallsym.report.panels import ACROSS, UP, script_data
 from hallsym.report.picture import Axis, Panel
 from hallsym.report.results import shared
 from hallsym.report.results.fit import page_content

@@ -2,6 +2,7 @@
 
 import copy
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -205,9 +206,13 @@ def test_maps_and_series_are_optional_and_shown():
         by="x [µm]", pose=POSE, count=np.array([3, 0]), edges=(-10.0, 0.0, 10.0),
         mean=np.array([[1e-6, np.nan]] * 3), rms=np.array([[2e-6, np.nan]] * 3),
     )  # fmt: skip
-    page = page_of(a_record(), maps=[cells], series=[run_series("run 2", POSE, t, errors)])
-    outline = Outline(page)
-    assert {"maps", "series"} <= {a["id"] for a in outline.all("section")}
+    both = [cells, replace(cells, by="y [µm]")]
+    series = [run_series("run 2", POSE, t, errors)]
+    page, alone = (page_of(a_record(), maps=maps, series=series) for maps in (both, both[:1]))
+    assert {"maps", "series"} <= {a["id"] for a in Outline(page).all("section")}
+    # all that there is of a single coordinate stands above the sections, once
+    assert "maps" not in {a["id"] for a in Outline(alone).all("section")}
+    assert alone.count('aria-label="x by x [µm]') == 1
     assert "3 samples" in page
     over_time = page.partition('class="series"')[2]
     assert [over_time.count(f'stroke="var(--{look})"') for look in ("median0", "edge")] == [3, 3]

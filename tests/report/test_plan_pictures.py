@@ -9,7 +9,7 @@ from twins import SIGMAS, TRUTH, with_noise
 from hallsym.experiment import Ranges, paper_ranges, plan
 from hallsym.families import build
 from hallsym.report.drawing import draw
-from hallsym.report.figures.plan import coverage
+from hallsym.report.results.plan import coverage
 from hallsym.simulation import paper_campaign, simulate
 
 MODEL, TABLE6 = build("stage31"), paper_campaign(0.02)

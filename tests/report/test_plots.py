@@ -19,7 +19,7 @@ from hallsym.log import Block, Log
 from hallsym.report.data.gather import diagnosed
 from hallsym.report.data.survey import COLUMNS, Survey, Trace, held_out, look_over, settings
 from hallsym.report.drawing import DPI, WIDTH, draw, save
-from hallsym.report.figures import campaign as plots
+from hallsym.report.results import fit as plots
 from hallsym.report.words import name
 from hallsym.simulation import Campaign, NoiseModel, Run, simulate, sine
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from hallsym.report.drawing import draw
-from hallsym.report.figures.sensitivity import LOOKS, correlation, drawable, effects
+from hallsym.report.results.identifiability import LOOKS, correlation, drawable, effects
 
 # -- correlation -----------------------------------------------------------------------------------------
 

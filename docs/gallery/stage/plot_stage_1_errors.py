@@ -10,7 +10,7 @@ what the stated noise leaves.
 import hallsym
 from hallsym.report.data.survey import look_over
 from hallsym.report.drawing import draw
-from hallsym.report.figures.campaign import errors_by_setting
+from hallsym.report.results.fit import errors_by_setting
 
 log = hallsym.bundled_campaign()
 fit = hallsym.fit(log, "stage31", solver="direct")

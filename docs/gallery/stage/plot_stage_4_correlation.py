@@ -8,7 +8,7 @@ readings.
 
 import hallsym
 from hallsym.report.drawing import draw
-from hallsym.report.figures.sensitivity import correlation
+from hallsym.report.results.identifiability import correlation
 
 fit = hallsym.fit(hallsym.bundled_campaign(), "stage31", solver="direct")
 figure = draw(correlation(hallsym.identify(fit)))

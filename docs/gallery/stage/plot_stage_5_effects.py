@@ -8,7 +8,7 @@ noise of one reading.
 
 import hallsym
 from hallsym.report.drawing import draw
-from hallsym.report.figures.sensitivity import effects
+from hallsym.report.results.identifiability import effects
 
 fit = hallsym.fit(hallsym.bundled_campaign(), "stage31", solver="direct")
 figure = draw(effects(hallsym.identify(fit)))

@@ -8,7 +8,7 @@ calibration itself.
 
 import hallsym
 from hallsym.report.drawing import draw
-from hallsym.report.figures.uncertainty import budget_bars
+from hallsym.report.results.budget import budget_bars
 from hallsym.uncertainty import Settings, position_budget
 
 fit = hallsym.fit(hallsym.bundled_campaign(), "stage31", solver="direct")

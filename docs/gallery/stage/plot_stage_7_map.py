@@ -7,7 +7,7 @@ The expanded uncertainty over the workspace.
 
 import hallsym
 from hallsym.report.drawing import draw
-from hallsym.report.figures.uncertainty import uncertainty_picture
+from hallsym.report.results.budget import uncertainty_picture
 from hallsym.uncertainty import Settings, uncertainty_map
 
 fit = hallsym.fit(hallsym.bundled_campaign(), "stage31", solver="direct")

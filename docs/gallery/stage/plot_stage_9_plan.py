@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import hallsym
 from hallsym.report.drawing import draw
-from hallsym.report.figures.plan import coverage
+from hallsym.report.results.plan import coverage
 
 noise = hallsym.table8_noise(hallsym.build("stage31")).sigma
 ranges = replace(hallsym.paper_ranges(), minutes=None, noise=noise)

@@ -9,10 +9,11 @@ from hallsym.errors import counted
 from hallsym.estimation import Evaluation
 from hallsym.estimation.calibration import rmse_interval
 from hallsym.inference import Belonging, ParameterChange
+from hallsym.report import picture as p
 from hallsym.report.content import Block, Content, Section, Table
-from hallsym.report.figures.campaign import evaluation_figure
+from hallsym.report.data.survey import look_over
 from hallsym.report.results import shared
-from hallsym.report.results.fit import periodic_blocks
+from hallsym.report.results.fit import errors_by_setting, periodic_blocks
 from hallsym.report.tables import cells, heads, in_units
 from hallsym.report.words import number
 
@@ -46,6 +47,11 @@ def evaluation_content(found: Evaluation, *, by_run: bool = False) -> Content:
     )
 
 
+def evaluation_figure(found: Evaluation) -> p.Picture:
+    """Return `errors_by_setting` of the log that was evaluated."""
+    return errors_by_setting(found.applied, look_over(found.decoded, found.applied))
+
+
 def _columns(found: Evaluation) -> dict[str, list[Any]]:
     """Return rmse and peak of each run as columns, in SI."""
     by_run = [found.table.over([run]) for run in found.table.runs]
@@ -73,11 +79,11 @@ def changes_table(changes: Sequence[ParameterChange]) -> Table:
     answers = {None: "unknown", True: "yes", False: "no"}
     head = ["parameter", "before (1 sigma)", "after (1 sigma)", "unit", "p of no change", "significant"]
     rows = []
-    for p in changes:
-        before, unit = in_units(p.before, p.before_std, p.unit)
-        after, _ = in_units(p.after, p.after_std, p.unit)
-        chance = "" if p.p_value is None else number(p.p_value, 1)
-        rows.append([p.name, before, after, unit, chance, answers[p.significant]])
+    for c in changes:
+        before, unit = in_units(c.before, c.before_std, c.unit)
+        after, _ = in_units(c.after, c.after_std, c.unit)
+        chance = "" if c.p_value is None else number(c.p_value, 1)
+        rows.append([c.name, before, after, unit, chance, answers[c.significant]])
     return Table(head, rows, "parameters before and after")
 
 

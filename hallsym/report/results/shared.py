@@ -14,7 +14,7 @@ from hallsym.estimation.calibration import LogRecord
 from hallsym.log.columns import in_a_row
 from hallsym.report.content import Block, Figure, Heading, Items, Note, Runs, Section, Table, Words
 from hallsym.report.data.gather import Cells, RunSeries
-from hallsym.report.figures.errors import Sizes, over_time, plane, profiles, script_data
+from hallsym.report.panels import Sizes, over_time, plane, profiles, script_data
 from hallsym.report.tables import cells, concise, heads, in_units
 from hallsym.report.words import amount, name, number
 from hallsym.units import parameter_unit
@@ -116,11 +116,14 @@ def expanded_at_rest(fit: Fit) -> list[str]:
 # -- where, when, and how the error is distributed ---------------------------------------------------------
 
 
-def maps_section(found: Mapping[str, Sequence[Cells]], floor: Mapping[str, float]) -> Section:
+def maps_section(
+    found: Mapping[str, Sequence[Cells]], floor: Mapping[str, float], *, seen: bool = False
+) -> Section:
     """Return the maps of the error; `found`: version of the model -> the same maps, one or two versions.
 
     Of two versions maps over two coordinates stand one under the other on a common scale; along a coordinate
-    and by runs one is drawn over the other.
+    and by runs one is drawn over the other. `seen`: `first_view` shows these versions, all that there is of
+    a single coordinate, which is not drawn again.
     """
     versions = {version: cells for version, cells in found.items() if cells}
     content: list[Any] = []
@@ -128,7 +131,9 @@ def maps_section(found: Mapping[str, Sequence[Cells]], floor: Mapping[str, float
         first, *second = versions.values()
         pairs = list(zip(first, second[0] if second else [None] * len(first), strict=True))
         content += _planes(versions, floor)
-        content += _profiles([(m, a) for m, a in pairs if not m.up], floor, bool(second))
+        along = [(m, a) for m, a in pairs if not (m.up or m.labels)]
+        grouped = [(m, a) for m, a in pairs if m.labels]
+        content += _profiles([] if seen and len(along) == 1 else along, grouped, floor, bool(second))
     return Section("maps", "Where the error is", content)
 
 
@@ -148,14 +153,15 @@ def _planes(versions: Mapping[str, Sequence[Cells]], floor: Mapping[str, float])
 
 
 def _profiles(
-    pairs: Sequence[tuple[Cells, Cells | None]], floor: Mapping[str, float], both: bool
+    along: Sequence[tuple[Cells, Cells | None]],
+    grouped: Sequence[tuple[Cells, Cells | None]],
+    floor: Mapping[str, float],
+    both: bool,
 ) -> list[Any]:
-    lines = [(m, a) for m, a in pairs if not m.labels]
     how = _how(("before", "after") if both else (), floor)
-    content: list[Any] = [Note(f"Along one coordinate. {how}")] if lines else []
-    for m, a in lines:
-        content.append(Figure(_charts(m, a, floor), f"over {m.by}"))
-    for m, a in ((m, a) for m, a in pairs if m.labels):
+    content: list[Any] = [Note(f"Along one coordinate. {how}")] if along else []
+    content += [Figure(_charts(m, a, floor), f"over {m.by}") for m, a in along]
+    for m, a in grouped:
         marked = " An h marks runs of the holdout." if m.marked else ""
         content += [Heading(f"By {m.by}"), Note(f"{how}{marked}")]
         content.append(Figure(_charts(m, a, floor), across=2))

@@ -1,18 +1,19 @@
 """Report of a study of tolerances, and of errors along a coordinate by cause."""
 
 from collections.abc import Iterator
+from itertools import cycle
 
 import numpy as np
 
 from hallsym.output import percent
+from hallsym.report import picture as p
 from hallsym.report.content import Block, Content, Heading, Section, Table
-from hallsym.report.figures.uncertainty import span
 from hallsym.report.results.shared import each, few
 from hallsym.report.tables import cells, heads
-from hallsym.report.words import number
+from hallsym.report.words import largest, name, number, scale
 from hallsym.uncertainty import ErrorModel
 from hallsym.uncertainty.tolerances import ENOUGH, MOST_SAMPLES, Tolerance, Tolerances
-from hallsym.units import parameter_unit, readable
+from hallsym.units import fitting, parameter_unit, readable, typeset
 
 
 def tolerances_content(found: Tolerances) -> Content:
@@ -78,10 +79,10 @@ def worth_table(found: Tolerances) -> Table:
     ranges = {t.name: t for t in found.tolerances}
     head = ["tolerance", "range", *(readable(c)[2] for c in found.model.pose), "+- (95 %)"]
     rows = []
-    for name in found.ranking:
-        j = found.active.index(name)
+    for one in found.ranking:
+        j = found.active.index(one)
         wide = _percent(found.worth.exact_half[j].max())
-        rows.append([name, size(ranges[name]), *map(_percent, found.worth.exact[j]), wide])
+        rows.append([one, size(ranges[one]), *map(_percent, found.worth.exact[j]), wide])
     return Table(head, rows, "fall of the rms error in % if one tolerance is exact", left=2)
 
 
@@ -90,9 +91,9 @@ def index_table(found: Tolerances) -> Table:
     indices = [(readable(c)[2], found.indices[c]) for c in found.model.pose]
     head = ["tolerance", *(f"{what} {kind}" for what, _ in indices for kind in ("first", "total"))]
     rows = []
-    for name in found.ranking:
-        j = found.active.index(name)
-        rows.append([name, *(_percent(v) for _, i in indices for v in (i.first[j], i.total[j]))])
+    for one in found.ranking:
+        j = found.active.index(one)
+        rows.append([one, *(_percent(v) for _, i in indices for v in (i.first[j], i.total[j]))])
     rows.append(["sum", *(_percent(v.sum()) for _, i in indices for v in (i.first, i.total))])
     rows.append(["widest +- (95 %)", *(v for _, i in indices for v in (_percent(i.widest), ""))])
     return Table(head, rows, "Sobol indices in %")
@@ -182,7 +183,7 @@ def along_table(found: ErrorModel) -> Table:
 
 
 SHOWN = 1e-4
-"""Least error shown [um, urad, mdeg]: a decoder that has converged only rounds below it."""
+"""Least error shown [um, urad, deg]: a decoder that has converged only rounds below it."""
 
 
 def _waves(found: ErrorModel) -> list[Block | str]:
@@ -198,3 +199,43 @@ def _waves(found: ErrorModel) -> list[Block | str]:
     ]
     heading = Heading(f"causes by the waves of their error per {per}")
     return [heading, Table(["waves", f"period [{unit}]", "effects"], rows, "waves and causes", left=3)]
+
+
+COLOURS = (p.BLUE, p.ORANGE, p.GREEN, p.PINK, p.INK, p.YELLOW, p.SKY)
+DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
+"""Of causes; not equally many, so that pairs repeat late."""
+
+
+def span(found: ErrorModel) -> tuple[float, float, float, str, str]:
+    """Return first place, end of the range, factor, unit and name of the coordinate that moves."""
+    column, at = found.coordinate, found.causes[0][2].at
+    low, high = float(at[0]), float(at[0] + (at[1] - at[0]) * len(at))
+    factor, unit, name = readable(column, found.model.period)
+    if unit != "deg":
+        factor, unit = fitting(column.rpartition("_")[2], max(abs(low), abs(high)))
+    return low, high, factor, unit, name
+
+
+def errors_along(found: ErrorModel) -> p.Picture:
+    """Return the error of each coordinate of the pose over the one that moves, a line per cause."""
+    pose, causes = found.model.pose, found.causes
+    styles = zip(cycle(COLOURS), cycle(DASHES), causes, strict=False)
+    looks = [p.Look(c, dash=dash) for c, dash, _ in styles]
+    if len(causes) > 1:
+        looks[-1] = p.Look(p.INK, width=1.4)  # all together
+    *_, factor, unit, moving = span(found)
+    panels = []
+    for k, column in enumerate(pose):
+        y_factor, y_unit = scale(
+            column, largest(np.array([e.error[k] for *_, e in causes])), found.model.period
+        )
+        layers: list[p.Layer] = [p.level(0.0, p.Look(p.FAINT, width=0.6))]
+        layers += [
+            p.line(factor * e.at, y_factor * e.error[k], look, cause)
+            for (cause, *_, e), look in zip(causes, looks, strict=True)
+        ]
+        at = factor * causes[0][-1].at
+        x = p.Axis(f"{moving} [{typeset(unit)}]", at.min(), at.max(), most=8)
+        y = p.Axis(f"error of {name(column)} [{y_unit}]")
+        panels.append(p.Panel(x.outer(k == len(pose) - 1), y, layers))
+    return p.Picture(panels, across=1)
