@@ -153,7 +153,7 @@ def _head(source: Source) -> list[Block | str]:
     named = [name in source.units and not split_header(name)[1] for name in names]
     units = [f" [{source.units[name]}]" if open else "" for name, open in zip(names, named, strict=True)]
     columns = [
-        [name + unit, *(_short(row[k]) for row in rows if k < len(row))]
+        [name + unit, *(_short(row[k]) or "-" for row in rows if k < len(row))]
         for k, (name, unit) in enumerate(zip(names, units, strict=True))
     ]
     ends = list(accumulate(max(map(len, column)) + 2 for column in columns))

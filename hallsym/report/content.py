@@ -1,4 +1,4 @@
-"""The content of a report: the answer in a sentence, tables, remarks and figures.
+"""The content of a report: the answer in a sentence, tables, remarks and pictures.
 
 A terminal prints it (`printed`), a page lays it out (`document`), a notebook shows it (`fragment`).
 """
@@ -45,7 +45,7 @@ class Heading(Words):
 class Table:
     """Rows of text, and numbers as text. The first `left` columns and `wordy` hold text.
 
-    `sortable`: by every column of a page, with JavaScript. `head` may be empty: rows alone.
+    `sortable`: by every column of a page, with JavaScript. A column whose cells are all empty is left out.
     """
 
     kind: ClassVar[str] = "table"
@@ -55,6 +55,19 @@ class Table:
     left: int = 1
     wordy: Sequence[int] = ()
     sortable: bool = False
+
+    def __post_init__(self) -> None:
+        """Leave out columns that say nothing."""
+        full = [k for k in range(len(self.head)) if any(row[k] not in (None, "") for row in self.rows)]
+        if self.rows and len(full) < len(self.head):
+            kept = {
+                "head": [self.head[k] for k in full],
+                "rows": [[row[k] for k in full] for row in self.rows],
+                "left": sum(k < self.left for k in full),
+                "wordy": [full.index(k) for k in self.wordy if k in full],
+            }
+            for name, value in kept.items():
+                object.__setattr__(self, name, value)
 
     def look(self, column: int) -> str | None:
         """Return the class of a column's cells in a page."""
@@ -88,26 +101,6 @@ class Items:
 
 
 @dataclass(frozen=True)
-class Figure:
-    """Panels of a page with a caption, side by side: `across` in a row, two or three."""
-
-    kind: ClassVar[str] = "figure"
-    charts: Sequence[Panel]
-    caption: str = ""
-    across: int = 3
-
-    @property
-    def look(self) -> str | None:
-        """The class of the figure in a page: two panels alone are as wide as three."""
-        return "two" if min(self.across, len(self.charts)) < 3 else None
-
-    @property
-    def width(self) -> float:
-        """The px of a panel."""
-        return 360.0 if self.look else 240.0
-
-
-@dataclass(frozen=True)
 class Runs:
     """The errors of one run over time, in whose place a script shows others: `data` is what it reads."""
 
@@ -119,7 +112,7 @@ class Runs:
     data: Any
 
 
-Block = Words | Table | Items | Figure | Runs
+Block = Words | Table | Items | Picture | Runs
 
 
 @dataclass(frozen=True)
@@ -212,10 +205,10 @@ def _parts(content: Content) -> dict[str, Any]:
 
 def _full(blocks: Sequence[Block | str]) -> Iterator[Block]:
     """Yield the blocks that hold something, plain text as paragraphs."""
-    full = {"table": "rows", "items": "lines", "figure": "charts"}
+    full = {"table": "rows", "items": "lines", "figure": "panels", "runs": "charts"}
     for block in blocks:
         block = Words(block) if isinstance(block, str) else block
-        if getattr(block, full.get(block.kind, "kind")) and getattr(block, "words", True):
+        if getattr(block, full.get(block.kind, "words")):
             yield block
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -63,11 +63,22 @@ class Panel:
 
 @dataclass(frozen=True)
 class Picture:
-    """Panels, up to `across` in a row, over words on all of them."""
+    """Panels, up to `across` in a row, with words on all of them."""
 
+    kind: ClassVar[str] = "figure"
     panels: Sequence[Panel]
     across: int = 3
     words: str = ""
+
+    @property
+    def look(self) -> str | None:
+        """The class of the figure in a page: two panels alone are as wide as three."""
+        return "two" if min(self.across, len(self.panels)) < 3 else None
+
+    @property
+    def width(self) -> float:
+        """The px of a panel in a page."""
+        return 360.0 if self.look else 240.0
 
 
 # -- looks -----------------------------------------------------------------------------------------------

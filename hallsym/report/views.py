@@ -11,17 +11,16 @@ from hallsym.errors import InputError
 from hallsym.output import fitted
 from hallsym.report.content import (
     Content,
-    Figure,
-    Note,
     Section,
     document,
     fragment,
     printed,
     text_of,
 )
+from hallsym.report.picture import Picture
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure as Drawn
+    from matplotlib.figure import Figure
 
 FIRST = 8
 """Lines of a result that stand for all of it."""
@@ -45,7 +44,7 @@ def table(result: Any) -> Mapping[str, Any]:
     return _content_of(result).columns or {}
 
 
-def figure(result: Any, log: Any = None) -> Drawn:
+def figure(result: Any, log: Any = None) -> Figure:
     """Return the picture of a result, drawn; `log`: where it is of one that the result does not hold."""
     from hallsym.report.drawing import draw
 
@@ -86,7 +85,7 @@ def page_of(result: Any, log: Any = None) -> str:
 
 def _pictured(said: Content) -> Content:
     """Return what a page shows: the picture too, where the report has no figures of its own."""
-    own = any(isinstance(block, Figure) and block.charts for s in said.sections for block in s.content)
+    own = any(isinstance(block, Picture) and block.panels for s in said.sections for block in s.content)
     try:
         picture = None if own else said.picture and said.picture(None)
     except InputError:  # nothing to draw
@@ -94,7 +93,7 @@ def _pictured(said: Content) -> Content:
     if picture is None:
         return said
     panels = [replace(panel, beside=()) for panel in picture.panels]  # words of the table
-    shown = Section("picture", "Picture", [Note(picture.words), Figure(panels, "", picture.across)])
+    shown = Section("picture", "Picture", [replace(picture, panels=panels)])
     notes = [section for section in said.sections if section.ident == "notes"]
     others = [section for section in said.sections if section not in notes]
     return replace(said, sections=[*others, shown, *notes])

@@ -126,76 +126,65 @@ Group = tuple[str, list[int]]
 """Label and runs."""
 
 
-class _Run:
-    """Sums over one run; pairs hold the nominal and the fitted model, rows the reference and the state."""
-
-    def __init__(self, start: int, first: Decoded) -> None:
-        n, state = len(first.reference), first.rows(first.decoder.model.state)
-        self.start, self.first_state, self.kept = start, state[:, 0], 0
-        self.squares, self.peak, self.state_sum = np.zeros((2, n)), np.zeros((2, n)), np.zeros(len(state))
-        self.low, self.high = np.full(n + len(state), np.inf), np.full(n + len(state), -np.inf)
-
-    def add(self, part: Decoded, errors: np.ndarray) -> None:
-        """Add a block with its errors, (2, n_pose, samples)."""
-        if not part.kept.any():
-            return
-        errors, state = errors[:, :, part.kept], part.rows(part.decoder.model.state)[:, part.kept]
-        rows = np.vstack([part.reference[:, part.kept], state])
-        self.kept += rows.shape[1]
-        self.squares += np.einsum("vij,vij->vi", errors, errors)
-        self.peak = np.maximum(self.peak, np.abs(errors).max(axis=2))
-        self.low, self.high = np.minimum(self.low, rows.min(axis=1)), np.maximum(self.high, rows.max(axis=1))
-        self.state_sum += state.sum(axis=1)
-
-    @property
-    def state(self) -> np.ndarray:
-        """Mean state; that of the first sample where no sample counts."""
-        return self.state_sum / self.kept if self.kept else self.first_state
-
-
 @dataclass(frozen=True, eq=False)
 class Survey:
     """The data of a log's pictures, for any number of samples.
 
-    `edges`: (runs + 1,) sample numbers where runs begin. `state`: (runs, n_state) mean vertical state, and
-    `drift`, its travel. `reach`: (n_pose + n_state, 2) least and greatest value of reference and state over
-    all runs.
+    `state`: (runs, n_state) mean vertical state, that of the first sample where no sample counts; `drift`,
+    its travel. `reach`: (n_pose + n_state, 2) least and greatest value of reference and state over all runs.
+    `nominal`, `fitted`: errors by the parameters of that name.
     """
 
-    runs: tuple[int, ...]
-    edges: np.ndarray
+    samples: int
     state: np.ndarray
     drift: np.ndarray
     reach: np.ndarray
     nominal: ErrorTable
     fitted: ErrorTable
     timed: bool
-    n_rejected: int
+
+    @property
+    def runs(self) -> tuple[int, ...]:
+        """The runs of the log."""
+        return self.fitted.runs
+
+    @property
+    def n_rejected(self) -> int:
+        """Samples that take no part."""
+        return int(self.samples - self.fitted.count.sum())
 
 
 def look_over(log: Log, fit: Fit, keep: Weigh | None = None) -> Survey:
     """Read `log` once and return the data of its pictures."""
-    runs: dict[int, _Run] = {}
-    total = 0
+    n, samples = len(fit.model.pose), 0
+    first: dict[int, np.ndarray] = {}
+    sums: dict[int, np.ndarray] = {}
+    most: dict[int, np.ndarray] = {}
     for part in decoded(log, fit, keep):
-        run = runs.setdefault(part.block.run, _Run(total, part))
-        run.add(part, np.array([part.nominal, part.fitted]) - part.reference)
-        total += len(part.kept)
-    found, n = list(runs.values()), len(fit.model.pose)
-    count = np.array([r.kept for r in found], dtype=float)
-    squares, peak = np.array([r.squares for r in found]), np.array([r.peak for r in found])
-    tables = [ErrorTable(fit.model.pose, tuple(runs), count, squares[:, v], peak[:, v]) for v in (0, 1)]
-    low, high = np.min([r.low for r in found], axis=0), np.max([r.high for r in found], axis=0)
+        run, state = part.block.run, part.rows(fit.model.state)
+        errors = (np.array([part.nominal, part.fitted]) - part.reference)[:, :, part.kept].reshape(2 * n, -1)
+        rows = np.vstack([part.reference, state])[:, part.kept]
+        added = [errors.shape[1:], np.einsum("ij,ij->i", errors, errors), rows[n:].sum(axis=1)]
+        ends = [np.abs(errors).max(axis=1, initial=0.0)]
+        ends += [side.max(axis=1, initial=-np.inf) for side in (-rows, rows)]
+        first.setdefault(run, state[:, 0])
+        sums[run] = sums.get(run, 0.0) + np.concatenate(added)
+        most[run] = np.maximum(most.get(run, -np.inf), np.concatenate(ends))
+        samples += len(part.kept)
+    count, squares, total = np.split(np.array([*sums.values()]), [1, 1 + 2 * n], axis=1)
+    peak, low, high = np.split(np.array([*most.values()]), [2 * n, 2 * n + len(rows)], axis=1)
+    tables = [
+        ErrorTable(fit.model.pose, tuple(sums), count[:, 0], squares[:, at], peak[:, at])
+        for at in (slice(n), slice(n, 2 * n))
+    ]
+    known = count[:, 0] > 0
     return Survey(
-        runs=tuple(runs),
-        edges=np.array([*(r.start for r in found), total]),
-        state=np.array([r.state for r in found]),
-        drift=np.array([r.high[n:] - r.low[n:] if r.kept else np.zeros(len(r.low) - n) for r in found]),
-        reach=np.column_stack([low, high]) if count.any() else np.zeros((len(low), 2)),
-        nominal=tables[0],
-        fitted=tables[1],
+        samples,
+        np.where(known[:, None], total / np.maximum(count, 1.0), np.array([*first.values()])),
+        np.where(known[:, None], high[:, n:] + low[:, n:], 0.0),
+        np.column_stack([-low.max(axis=0), high.max(axis=0)]) if known.any() else np.zeros((len(rows), 2)),
+        *tables,
         timed="t_s" in log.columns,
-        n_rejected=int(total - count.sum()),
     )
 
 

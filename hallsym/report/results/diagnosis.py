@@ -27,7 +27,7 @@ from hallsym.estimation import Fit
 from hallsym.families import FAMILIES, added_effects, effects, plain
 from hallsym.output import percent
 from hallsym.report import picture as p
-from hallsym.report.content import Block, Content, Figure, Heading, Items, Note, Section, Table
+from hallsym.report.content import Block, Content, Heading, Items, Note, Section, Table
 from hallsym.report.data.gather import Cells, RunSeries
 from hallsym.report.panels import Sizes, against_floor
 from hallsym.report.picture import BEFORE
@@ -226,8 +226,7 @@ def _sizes(d: Diagnosis) -> list[Block | str]:
         "above it, and its share of the excess of all outputs, or of all sensors, where the whole excess is "
         "more than chance"
     )
-    full = [k for k in range(len(head)) if any(row[k] for row in rows)]
-    return [Table([head[k] for k in full], [[row[k] for k in full] for row in rows], caption)] if rows else []
+    return [Table(head, rows, caption)] if rows else []
 
 
 def _waves(d: Diagnosis, coordinate: str) -> list[Block | str]:
@@ -313,7 +312,7 @@ def _effects_section(d: Diagnosis) -> Section:
         return Section("effects", "Which effects", [Note(none)])
     rows = [(e.name, e.shrinkage, e.interval) for e in d.effects if math.isfinite(e.shrinkage)]
     drawn = [shares(rows, "decrease of the gap [%]", 1)] if len(rows) > 1 else []
-    ranking = Figure(drawn, "With the 95 % interval of each effect")
+    ranking = p.Picture(drawn, words="With the 95 % interval of each effect")
     return Section("effects", "Which effects", [ranking, _ranked(d), _meanings(d), *_found(d), *_groups(d)])
 
 
@@ -386,7 +385,7 @@ def _rest_section(d: Diagnosis) -> Section:
         said.append("It significantly goes with no sensor, coordinate, frequency or run.")
     if rest and rest.curve:
         how, panels = curves(rest.curve)
-        said.append(Figure(panels, how))
+        said.append(p.Picture(panels, words=how))
     return Section("rest", "What no effect explains", said)
 
 
@@ -398,7 +397,7 @@ def _statements(statements: Sequence[Statement], head: str, title: str) -> list[
     ]
     chart = [shares(drawn, title, look=BEFORE)] if drawn else []
     table = Table([head, "on holdout runs", "p"], rows, "statements on the places, from the fitted runs")
-    return [Figure(chart), table] if statements else []
+    return [p.Picture(chart), table] if statements else []
 
 
 def _place(s: Statement) -> str:

@@ -328,14 +328,13 @@ def _identifiable(fit: Fit) -> list[str]:
 def _input(log: Log, fit: Fit, found: Gathered, same: bool) -> Items:
     runs, holdout = found.survey.runs, [r for r in fit.log.holdout if same]
     fitted = [r for r in runs if r not in holdout]
-    count = int(np.diff(found.survey.edges).sum())
     judged = f"{len(holdout)} ({shared.numbers(holdout)})" if holdout else "none"
     used = f"{len(fitted)} ({shared.numbers(fitted)})"
     used = used if same else f"none: all {len(runs)} runs are only judged"
     added = list(added_effects(fit.model))
     pairs = [
         ("log", log.path or "a log in memory"),
-        ("samples", f"{count} in {counted(len(runs), 'run')}"),
+        ("samples", f"{found.survey.samples} in {counted(len(runs), 'run')}"),
         ("model", f"{fit.model.name}{' with ' + ', '.join(added) if added else ''}"),
         ("runs fitted", used),
         ("holdout runs", judged if same else None),

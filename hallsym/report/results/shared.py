@@ -12,9 +12,10 @@ from hallsym.errors import InputError, counted
 from hallsym.estimation import Fit
 from hallsym.estimation.calibration import LogRecord
 from hallsym.log.columns import in_a_row
-from hallsym.report.content import Block, Figure, Heading, Items, Note, Runs, Section, Table, Words
+from hallsym.report.content import Block, Heading, Items, Note, Runs, Section, Table, Words
 from hallsym.report.data.gather import Cells, RunSeries
 from hallsym.report.panels import Sizes, over_time, plane, profiles, script_data
+from hallsym.report.picture import Picture
 from hallsym.report.tables import cells, concise, heads, in_units
 from hallsym.report.words import amount, name, number
 from hallsym.units import parameter_unit
@@ -140,9 +141,9 @@ def maps_section(
 def _planes(versions: Mapping[str, Sequence[Cells]], floor: Mapping[str, float]) -> list[Any]:
     flat = {version: m for version, maps in versions.items() for m in maps if m.up}
     figures = [
-        Figure(
+        Picture(
             [plane(m, [*flat.values()], what, k, floor.get(c) or 0.0) for k, c in enumerate(m.pose)],
-            f"{what}{f', {version}' if len(versions) > 1 else ''}",
+            words=f"{what}{f', {version}' if len(versions) > 1 else ''}",
         )
         for what in ("mean", "rms")
         for version, m in flat.items()
@@ -160,11 +161,11 @@ def _profiles(
 ) -> list[Any]:
     how = _how(("before", "after") if both else (), floor)
     content: list[Any] = [Note(f"Along one coordinate. {how}")] if along else []
-    content += [Figure(_charts(m, a, floor), f"over {m.by}") for m, a in along]
+    content += [Picture(_charts(m, a, floor), words=f"over {m.by}") for m, a in along]
     for m, a in grouped:
         marked = " An h marks runs of the holdout." if m.marked else ""
         content += [Heading(f"By {m.by}"), Note(f"{how}{marked}")]
-        content.append(Figure(_charts(m, a, floor), across=2))
+        content.append(Picture(_charts(m, a, floor), across=2))
     return content
 
 
@@ -179,7 +180,7 @@ def first_view(
     blocks: list[Block] = []
     if series:
         said = f"Over time, {series[0].title}. {_colours([*series[0].lines])}"
-        blocks.append(Figure(over_time(series[0], every=True), said.rstrip()))
+        blocks.append(Picture(over_time(series[0], every=True), words=said.rstrip()))
     later = dict(enumerate(after))
     along = [(b, later.get(k)) for k, b in enumerate(before) if not (b.up or b.labels)]
     if along:
@@ -189,7 +190,7 @@ def first_view(
             charts += profiles(b, k, floor.get(output) or 0.0, a)
         versions = [*series[0].lines] if series else ["before", "after"]
         how = _how(versions if after else (), floor)
-        blocks.append(Figure(charts, f"Over the coordinate that each error follows most. {how}"))
+        blocks.append(Picture(charts, words=f"Over the coordinate that each error follows most. {how}"))
     return blocks
 
 
