@@ -11,8 +11,13 @@ from typing import Any, NotRequired, TypedDict
 from hallsym.codegen.table import Error
 from hallsym.diagnosis import diagnosis_schema
 from hallsym.estimation import calibration_schema
-from hallsym.inference.belonging import ParameterChange
-from hallsym.inference.identifiability import FurtherReport, NullSpace, Output
+from hallsym.estimation.calibration import Calibration
+from hallsym.estimation.goodness_of_fit import GoodnessOfFit
+from hallsym.experiment.study import Worst
+from hallsym.families.suggest import Guess
+from hallsym.inference.belonging import BelongingTest, ParameterChange
+from hallsym.inference.identifiability import CombinationReport, FurtherReport, NullSpace, Output
+from hallsym.log.meta import Sigma
 from hallsym.power import DetectionPower
 from hallsym.records import DIALECT, schemas_of
 from hallsym.report.data.periodic import PeriodicError
@@ -39,7 +44,7 @@ class Demo(TypedDict):
     """The steps of the paper with its errors and those here."""
 
     steps: list[Record]
-    calibration: Record
+    calibration: Calibration
     pictures: list[str]
 
 
@@ -75,7 +80,7 @@ class Guesses(TypedDict):
     """Of `info LOG --write`: the guess for each column; `open`: of unknown unit, `rest`: of no use."""
 
     model: str
-    columns: dict[str, Record]
+    columns: dict[str, Guess]
     open: list[str]
     rest: list[str]
 
@@ -126,7 +131,7 @@ class SelfCalibration(TypedDict):
     left_rad: dict[str, Numbers]
     one_field: Record | None
     speeds_ratio: float | None
-    calibration: Record
+    calibration: Calibration
 
 
 class Belongs(TypedDict):
@@ -136,7 +141,7 @@ class Belongs(TypedDict):
     false_alarm: NotRequired[float]
     refitted: NotRequired[float]
     floor: NotRequired[float]
-    tests: NotRequired[list[Record]]
+    tests: NotRequired[list[BelongingTest]]
     changes: NotRequired[list[ParameterChange]]
     not_identified: NotRequired[dict[str, str]]
     notes: NotRequired[list[str]]
@@ -149,12 +154,12 @@ class Evaluated(TypedDict):
 
     log: str
     reason: NotRequired[str]
-    goodness_of_fit: NotRequired[Record]
+    goodness_of_fit: NotRequired[GoodnessOfFit]
     model: NotRequired[str]
     errors: NotRequired[Errors]
     noise_floor: NotRequired[Numbers]
     by_run: NotRequired[dict[str, Errors | None]]
-    noise: NotRequired[dict[str, Record]]
+    noise: NotRequired[dict[str, Sigma]]
     notes: NotRequired[list[str]]
     periodic_error: NotRequired[PeriodicError | None]
     belonging: NotRequired[Belongs]
@@ -177,7 +182,7 @@ class Sensitivity(TypedDict):
     recorded: str
     planned: bool
     parameters: dict[str, Record]
-    combinations: list[Record]
+    combinations: list[CombinationReport]
     structural: NullSpace
     gauges: list[str]
     practical: NullSpace
@@ -212,8 +217,8 @@ class Plan(TypedDict):
     chosen: list[Record]
     value: float
     recorded_runs: int
-    worst_before: Record | None
-    worst: Record
+    worst_before: Worst | None
+    worst: Worst
     std: Numbers
     position_std: Numbers
     reference: Numbers
@@ -394,7 +399,7 @@ class Rings(TypedDict):
     places_rad: list[float]
     heights: list[list[float]]
     ripple: list[Numbers]
-    fleet: Record
+    fleet: Fleet
 
 
 COMMANDS: dict[str, tuple[type, ...]] = {
