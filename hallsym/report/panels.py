@@ -1,11 +1,8 @@
-"""Panels of errors: by output, along a coordinate, by group of runs, over two coordinates, over time.
-
-Bars carry their names and numbers, so that no information is in colour alone.
-"""
+"""Panels of errors: along a coordinate, by group of runs, over two coordinates, over time."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,47 +11,8 @@ from hallsym.report import picture as p
 from hallsym.report.data.gather import Cells, RunSeries
 from hallsym.report.words import largest, minus, name, number, scale
 
-# -- bars ------------------------------------------------------------------------------------------------
-
-
-FAR = 12.0
-"""Bars that differ by more than this factor are drawn on a logarithmic scale, as dots."""
-LOOKS = {"before": p.BEFORE, "nominal": p.BEFORE, "holdout": p.HOLDOUT}
-"""Of the errors that are not those after; every other one is `AFTER`."""
-
 Sizes = Mapping[str, Mapping[str, float]]
 """`{"rmse": {x_m: ..}, "peak": {..}}`."""
-
-
-def against_floor(
-    found: Mapping[str, Sizes], floor: Mapping[str, float], periodic: Collection[str] | None = None
-) -> list[p.Panel]:
-    """Return rmse and peak of every output: one row per entry of `found`, the noise floor dashed.
-
-    `periodic`: outputs that go round, see `hallsym.units.readable`.
-    """
-    first = next(iter(found.values()))
-    places = {
-        (what, c): [gap[what][c] for gap in found.values()] for what in ("rmse", "peak") for c in first[what]
-    }
-    far = any(max(sizes) > FAR * min(v for v in sizes if v > 0) for sizes in places.values() if any(sizes))
-    panels = []
-    for (what, output), sizes in places.items():
-        least = floor.get(output, 0.0) if what == "rmse" else 0.0
-        factor, unit = scale(output, max(*sizes, least), periodic)
-        entries = [
-            p.Row(label, factor * v, number(factor * v), look=LOOKS.get(label, p.AFTER))
-            for label, v in zip(found, sizes, strict=True)
-        ]
-        positive = [factor * v for v in (*sizes, least) if v > 0]
-        log = far and len(set(positive)) > 1
-        x = p.Axis(low=min(positive) / 1.6 if log else 0.0, high=1.1 * max(positive, default=1.0), log=log)
-        said = "; ".join(f"{row.name} {row.shown} {unit}" for row in entries)
-        said += f"; noise floor {number(factor * least)} {unit}" if least > 0 else ""
-        title = f"{what} {name(output)} [{unit}]"
-        panels.append(p.rows(title, f"{what} of {name(output)}: {said}", x, entries, floor=factor * least))
-    return panels
-
 
 # -- errors by cell: along a coordinate, by group of runs, over two coordinates --------------------------
 

@@ -206,23 +206,18 @@ class Row:
 
 
 def rows(title: str, says: str, x: Axis, found: Sequence[Row], *, floor: float = 0.0) -> Panel:
-    """Return one row per value; the noise floor, where there is one, is dashed.
-
-    On a logarithmic axis, which has no zero, dots on stems stand for bars.
-    """
+    """Return one row per value; the noise floor, where there is one, is dashed."""
     names = [r.name if len(r.name) <= LONGEST else f"{r.name[: LONGEST - 1]}…" for r in found]
     above = max(map(len, names)) > BESIDE
-    zero, half = (x.low or 0.0) if x.log else 0.0, 0.22 if above else 0.32
-    layers = [level(zero, Look(SOFT, width=0.6), up=True)]
+    half = 0.22 if above else 0.32
+    layers = [level(0.0, Look(SOFT, width=0.6), up=True)]
     for k, r in enumerate(found):
-        if r.span is None and not x.log:
-            layers.append(boxes(min(zero, r.value), max(zero, r.value), k - half, k + half, r.look))
+        if r.span is None:
+            layers.append(boxes(min(0.0, r.value), max(0.0, r.value), k - half, k + half, r.look))
         else:
-            layers += [line(r.span or (zero, r.value), (k, k), MEDIANS[1]), points(r.value, k, r.look)]
+            layers += [line(r.span, (k, k), MEDIANS[1]), points(r.value, k, r.look)]
     if above:
-        layers.append(
-            text(names, [zero if x.low is None else x.low] * len(names), np.arange(len(names)) - 0.48)
-        )
+        layers.append(text(names, [x.low or 0.0] * len(names), np.arange(len(names)) - 0.48))
         names = [""] * len(names)
     layers += [level(floor, up=True)] if floor > 0 else []
     y = Axis(low=len(found) - 0.4, high=-0.8 if above else -0.6, names=names)

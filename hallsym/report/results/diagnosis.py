@@ -6,6 +6,7 @@ import math
 import shlex
 from collections.abc import Sequence
 from dataclasses import asdict
+from itertools import product
 from math import isfinite, isnan
 from typing import Any
 
@@ -29,7 +30,7 @@ from hallsym.output import percent
 from hallsym.report import picture as p
 from hallsym.report.content import Block, Content, Heading, Items, Note, Section, Table
 from hallsym.report.data.gather import Cells, RunSeries
-from hallsym.report.panels import Sizes, against_floor
+from hallsym.report.panels import Sizes
 from hallsym.report.picture import BEFORE
 from hallsym.report.results import shared
 from hallsym.report.tables import concise
@@ -433,21 +434,28 @@ def changed(d: Diagnosis) -> bool:
     return bool(d.effects or d.ranked)
 
 
-def gaps(d: Diagnosis) -> dict[str, Sizes]:
-    """Return the errors before and after, or on the holdout runs, without outputs that have no number."""
-    every = {"before": d.gap_before.sizes, "after": d.gap_after.sizes}
-    parts = [part for gap in every.values() for part in gap.values()]
-    known = [c for c in parts[0] if all(math.isfinite(part.get(c, math.nan)) for part in parts)]
-    found: dict[str, Sizes] = {
-        when: {what: {c: part[c] for c in known} for what, part in gap.items()} for when, gap in every.items()
-    }
-    return found if changed(d) else {"holdout": found["before"]}
-
-
 def gap(d: Diagnosis) -> p.Picture:
-    """Return rmse and peak of each output on the holdout runs, without and with the effects found."""
-    words = f"Dashed: noise floor ({d.noise_floor.source})."
-    return p.Picture(against_floor(gaps(d), d.noise_floor.outputs), words=words)
+    """Return rmse and peak of each output on the holdout runs, without and with the effects found.
+
+    Bars carry their names and numbers; an output without a number is left out.
+    """
+    before, after = d.gap_before.sizes, d.gap_after.sizes
+    found: dict[str, Sizes] = {"before": before, "after": after} if changed(d) else {"holdout": before}
+    looks = {"before": BEFORE, "after": p.AFTER, "holdout": p.HOLDOUT}
+    panels = []
+    for what, output in product(("rmse", "peak"), before["rmse"]):
+        sizes = {label: one[what].get(output, math.nan) for label, one in found.items()}
+        if not all(map(isfinite, sizes.values())):
+            continue
+        floor = d.noise_floor.outputs.get(output, 0.0) if what == "rmse" else 0.0
+        factor, unit = scale(output, max(*sizes.values(), floor))
+        rows = [p.Row(label, factor * v, number(factor * v), look=looks[label]) for label, v in sizes.items()]
+        said = "; ".join(f"{row.name} {row.shown} {unit}" for row in rows)
+        said += f"; noise floor {number(factor * floor)} {unit}" if floor > 0 else ""
+        x = p.Axis(low=0.0, high=1.1 * factor * max(*sizes.values(), floor) or 1.0)
+        title = f"{what} {name(output)} [{unit}]"
+        panels.append(p.rows(title, f"{what} of {name(output)}: {said}", x, rows, floor=factor * floor))
+    return p.Picture(panels, words=f"Dashed: noise floor ({d.noise_floor.source}).")
 
 
 def shares(
