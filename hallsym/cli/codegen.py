@@ -22,7 +22,7 @@ from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.log import read_log
 from hallsym.report.content import Content, Table
 from hallsym.report.results.shared import few
-from hallsym.report.words import sized
+from hallsym.report.words import name, sized
 from hallsym.units import readable
 
 EPILOG = """\
@@ -111,7 +111,7 @@ def _content(made: Generated, options: Namespace) -> Content:
         unit, bound = c.rpartition("_")[2], bounds.get(c)
         turns = readable(c)[1] == "deg"
         most = "" if bound is None else sized(bound, unit, turns=turns)
-        sizes.append(f"{readable(c)[2]} {most or sized(met, unit, turns=turns)}")
+        sizes.append(f"{name(c)} {most or sized(met, unit, turns=turns)}")
         errors.append([c, most, sized(met, unit, turns=turns)])
     how = "at most" if bounds else "in tests"
     answer = (

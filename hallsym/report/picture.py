@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from hallsym.output import printable
+from hallsym.report.words import number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -205,7 +206,7 @@ class Row:
     look: Look = AFTER
 
 
-def rows(title: str, says: str, x: Axis, found: Sequence[Row], *, floor: float = 0.0) -> Panel:
+def rows(title: str, x: Axis, found: Sequence[Row], *, floor: float = 0.0) -> Panel:
     """Return one row per value; the noise floor, where there is one, is dashed."""
     names = [r.name if len(r.name) <= LONGEST else f"{r.name[: LONGEST - 1]}…" for r in found]
     above = max(map(len, names)) > BESIDE
@@ -219,7 +220,10 @@ def rows(title: str, says: str, x: Axis, found: Sequence[Row], *, floor: float =
     if above:
         layers.append(text(names, [x.low or 0.0] * len(names), np.arange(len(names)) - 0.48))
         names = [""] * len(names)
-    layers += [level(floor, up=True)] if floor > 0 else []
+    says = f"{title}: {'; '.join(f'{r.name} {r.shown}' for r in found)}"
+    if floor > 0:
+        layers.append(level(floor, up=True))
+        says += f"; noise floor {number(floor)}"
     y = Axis(low=len(found) - 0.4, high=-0.8 if above else -0.6, names=names)
     height = (30.0 if above else 19.0) * len(found) + 4
     return Panel(x, y, layers, title, says, height, beside=[r.shown for r in found])

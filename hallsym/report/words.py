@@ -20,8 +20,12 @@ def minus(text: str) -> str:
 
 
 def micro(text: str) -> str:
-    """Return words with the micro sign in units, `2 um`, `x [urad]`, and plus or minus as one sign."""
-    return re.sub(r"(\d |\[)u(?=(m|rad|V)\b)", r"\1µ", text).replace("+-", "\N{PLUS-MINUS SIGN}")
+    """Return words with the micro sign in units, `2 um`, `x [urad]`, and plus or minus as one sign.
+
+    A line does not end between a number and its unit.
+    """
+    shown = re.sub(r"(\d |\[)u(?=(m|rad|V)\b)", r"\1µ", text).replace("+-", "\N{PLUS-MINUS SIGN}")
+    return re.sub(r"(?<=\d) (?=(%|µ|deg\b|[mn]?(m|rad|V)\b))", "\N{NO-BREAK SPACE}", shown)
 
 
 def name(column: str) -> str:

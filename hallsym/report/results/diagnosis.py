@@ -450,11 +450,8 @@ def gap(d: Diagnosis) -> p.Picture:
         floor = d.noise_floor.outputs.get(output, 0.0) if what == "rmse" else 0.0
         factor, unit = scale(output, max(*sizes.values(), floor))
         rows = [p.Row(label, factor * v, number(factor * v), look=looks[label]) for label, v in sizes.items()]
-        said = "; ".join(f"{row.name} {row.shown} {unit}" for row in rows)
-        said += f"; noise floor {number(factor * floor)} {unit}" if floor > 0 else ""
         x = p.Axis(low=0.0, high=1.1 * factor * max(*sizes.values(), floor) or 1.0)
-        title = f"{what} {name(output)} [{unit}]"
-        panels.append(p.rows(title, f"{what} of {name(output)}: {said}", x, rows, floor=factor * floor))
+        panels.append(p.rows(f"{what} {name(output)} [{unit}]", x, rows, floor=factor * floor))
     return p.Picture(panels, words=f"Dashed: noise floor ({d.noise_floor.source}).")
 
 
@@ -473,8 +470,7 @@ def shares(
     ]
     ends = [v for row in entries for v in (row.value, *(row.span or ())) if math.isfinite(v)]
     x = p.Axis(low=min([0.0, *ends]), high=max([1.0, *(1.05 * v for v in ends)]), most=6)
-    said = "; ".join(f"{row.name} {row.shown}" for row in entries)
-    return p.rows(title, f"{title}: {said}", x, entries)
+    return p.rows(title, x, entries)
 
 
 # -- the shape of the unexplained rest -------------------------------------------------------------------
@@ -519,8 +515,7 @@ def _dots(shape: CurveShape, sensor: str, band: np.ndarray, unit: str, high: flo
     """Return the same where places are no line."""
     labels = shape.labels or [str(k + 1) for k in range(len(shape.grid))]
     entries = [p.Row(w, v, number(v), (a, b)) for w, v, a, b in zip(labels, *band, strict=True)]
-    said = ", ".join(f"{row.name} {row.shown} {unit}" for row in entries)
-    return p.rows(f"{sensor} [{unit}]", f"{sensor}: {said}", p.Axis(low=-high, high=high, most=3), entries)
+    return p.rows(f"{sensor} [{unit}]", p.Axis(low=-high, high=high, most=3), entries)
 
 
 def _most_of(readings: list[Band]) -> float:

@@ -50,14 +50,14 @@ def _tighten(found: Tolerances) -> str:
     """Return which tolerance to tighten first, and what that is worth."""
     worth = found.worth.exact
     j, k = np.unravel_index(int(np.argmax(worth)), worth.shape)
-    name, what = found.active[int(j)], readable(found.model.pose[int(k)])[2]
-    said = f"Tighten {name} first: it lowers the {what} error by {percent(worth[j, k])}"
+    first, what = found.active[int(j)], name(found.model.pose[int(k)])
+    said = f"Tighten {first} first: it lowers the {what} error by {percent(worth[j, k])}"
     half = found.worth.exact_half[j, k]
     others = [
         found.active[i]
         for i in np.flatnonzero(worth[:, k] + found.worth.exact_half[:, k] > worth[j, k] - half)
     ]
-    unsure = [other for other in others if other != name]
+    unsure = [other for other in others if other != first]
     return f"{said} if it is exact" + (f"; {few(unsure)} may be worth as much." if unsure else ".")
 
 
@@ -77,7 +77,7 @@ def error_table(found: Tolerances) -> Table:
 def worth_table(found: Tolerances) -> Table:
     """Return the ranking: fall of the rms of each coordinate if one tolerance is made exact."""
     ranges = {t.name: t for t in found.tolerances}
-    head = ["tolerance", "range", *(readable(c)[2] for c in found.model.pose), "+- (95 %)"]
+    head = ["tolerance", "range", *map(name, found.model.pose), "+- (95 %)"]
     rows = []
     for one in found.ranking:
         j = found.active.index(one)
@@ -88,7 +88,7 @@ def worth_table(found: Tolerances) -> Table:
 
 def index_table(found: Tolerances) -> Table:
     """Return first and total indices of the error, one line per tolerance, with the widest interval."""
-    indices = [(readable(c)[2], found.indices[c]) for c in found.model.pose]
+    indices = [(name(c), found.indices[c]) for c in found.model.pose]
     head = ["tolerance", *(f"{what} {kind}" for what, _ in indices for kind in ("first", "total"))]
     rows = []
     for one in found.ranking:

@@ -185,7 +185,7 @@
     })));
   }
   function csv(table) {
-    const cell = (c) => `"${c.textContent.replace(/\u2212/g, "-").replace(/"/g, '""')}"`;
+    const cell = (c) => `"${c.textContent.replace(/\u2212/g, "-").replace(/\u00a0/g, " ").replace(/"/g, '""')}"`;
     const text = [...table.rows].map((row) => [...row.cells].map(cell).join(",")).join("\n");
     const href = `data:text/csv;charset=utf-8,${encodeURIComponent(`${text}\n`)}`, caption = table.caption;
     if (!caption) return;
