@@ -121,7 +121,7 @@ def test_the_script_runs_under_its_own_policy(chromium, pages, name):
     if name == "diagnosis":
         for part in ("asked", "errors", "effects", "where", "rest", "maps", "series", "parameters", "origin"):
             assert f'<section id="{part}">' in shown
-        assert shown.count("line with its 95 % band") == 1
+        assert shown.count("line with its 95&nbsp;% band") == 1
         assert shown.count('stroke="var(--median0)"') > 20  # before, under after
 
 

@@ -76,7 +76,7 @@ def diagnosis_content(
             _rest_section(d),
             shared.maps_section({"before": maps, "after": after}, d.noise_floor.outputs, seen=True),
             shared.runs_section(series),
-            Section("parameters", "Parameters", _parameters(d, fit)),
+            Section("parameters", "Parameters", shared.parameters_of(fit) if fit else []),
             Section("notes", "Other checks", [Items(_notes(d))]),
             shared.origin_section(d.log, d.versions, command),
         ],
@@ -408,11 +408,7 @@ def _place(s: Statement) -> str:
     return f"{s.by}: {s.at}" if s.at and s.by in ("link", "run", "frequency") else s.by
 
 
-# -- parameters, and what else was looked at --------------------------------------------------------------
-
-
-def _parameters(d: Diagnosis, fit: Fit | None) -> list[Block]:
-    return [Heading(f"Of {fit.model.name}"), *shared.parameters_of(fit)] if fit else []
+# -- what else was looked at --------------------------------------------------------------
 
 
 def _notes(d: Diagnosis) -> list[tuple[str, str]]:
