@@ -46,17 +46,14 @@ def setting(
     columns: Sequence[str],
     point: np.ndarray,
     near: float | np.ndarray,
-    *,
-    units: bool = False,
     periodic: Collection[str] | None = None,
 ) -> str:
     """Return `Z +250 Rx -500`, in um and urad, without values within `near` of zero."""
     parts = []
     for column, value, least in zip(columns, point, np.broadcast_to(near, len(columns)), strict=True):
         if abs(value) > least:
-            factor, unit, _ = readable(column, periodic)
-            number = minus(f"{factor * value:+.{0 if abs(factor * value) >= 10 else 1}f}")
-            parts.append(f"{name(column)} {number}" + (f" {typeset(unit)}" if units else ""))
+            shown = readable(column, periodic)[0] * value
+            parts.append(f"{name(column)} {minus(f'{shown:+.{0 if abs(shown) >= 10 else 1}f}')}")
     return " ".join(parts) or "level"
 
 

@@ -9,7 +9,7 @@ from twins import record, with_noise
 
 from hallsym.estimation import Fit, load_fit
 from hallsym.report.drawing import draw
-from hallsym.report.results.budget import PALEST, budget_bars, uncertainty_picture
+from hallsym.report.results.budget import PALEST, budget_bars, position_words, uncertainty_picture
 from hallsym.uncertainty import Settings, over_log, position_budget, uncertainty_map
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -75,6 +75,13 @@ def test_a_position(ran, here):
         assert made["budgets"][column]["expanded_uncertainty"] == pytest.approx(budget.expanded, rel=1e-9)
     assert made["at"]["x_m"] == pytest.approx(1e-4)
     assert made["map"] is made["recorded"] is made["monte_carlo"] is None
+
+
+def test_a_place_leaves_out_nothing_but_zeros():
+    """A height is small beside the travel of a mover, and no less a part of the place."""
+    assert position_words({"x_m": 0.03, "y_m": 0.0, "z_m": 2e-4, "angle_rad": 0.1}) == (
+        "x 30 mm, Z 200 um, angle 5.73 deg"
+    )
 
 
 def test_settings(ran, here):

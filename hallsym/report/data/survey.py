@@ -242,7 +242,7 @@ def settings(fit: Fit, survey: Survey) -> tuple[list[Group], str]:
         return (int(moved.sum()), tuple(~moved), tuple(np.where(moved, centres[k], 0.0)))
 
     order = sorted(range(len(centres)), key=place)
-    groups = [(setting(columns, centres[k], near, periodic=periodic), members[k]) for k in order]
+    groups = [(setting(columns, centres[k], near, periodic), members[k]) for k in order]
     by_unit: dict[str, list[str]] = {}
     for column in columns:
         by_unit.setdefault(typeset(readable(column, periodic)[1]), []).append(name(column))

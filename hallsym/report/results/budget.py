@@ -10,7 +10,8 @@ import numpy as np
 from hallsym.output import percent
 from hallsym.report import picture as p
 from hallsym.report.content import Block, Content, Heading, Section, Table
-from hallsym.report.words import largest, minus, name, number, scale, setting, sized
+from hallsym.report.results.shared import each
+from hallsym.report.words import LEVEL, largest, minus, name, number, scale, sized
 from hallsym.trajectory import Curve
 from hallsym.uncertainty import Budget, Comparison, Recorded, Source, UncertaintyMap
 from hallsym.units import UNITS, fitting, readable, reading_unit, typeset
@@ -170,14 +171,8 @@ def _length(value: float) -> str:
 
 
 def position_words(at: Mapping[str, float], periodic: Collection[str] | None = None) -> str:
-    """Return `x 100 um, z 250 um` without values next to zero; `periodic` as in `readable`."""
-    least = 0.01 * max(map(abs, at.values()), default=0.0)
-    parts = []
-    for column, value in at.items():
-        factor, unit, _ = readable(column, periodic)
-        if abs(value) > least:
-            parts.append(f"{name(column)} {number(value * factor)} {unit}")
-    return ", ".join(parts) or "rest"
+    """Return `x 100 um, Z 250 um` without values next to zero; `periodic` as in `readable`."""
+    return each({c: v for c, v in at.items() if abs(v) > LEVEL}, periodic) or "rest"
 
 
 # -- pictures -------------------------------------------------------------------------------------------
@@ -238,14 +233,10 @@ def uncertainty_picture(grid: UncertaintyMap) -> p.Picture:
 
     Maps have a row per pose coordinate and a column per value of the third axis.
     """
-    fixed = setting(
-        list(grid.fixed), np.array(list(grid.fixed.values())), 0.0, units=True, periodic=grid.periodic
-    )
     level, coverage = grid.settings.level, grid.settings.coverage
-    words = (
-        f"Expanded uncertainty U ({f'k = {coverage:g}' if level is None else f'{100 * level:g} %'}) of the "
-    )
-    words += "decoded position" + (f" at {fixed}" if fixed != "level" else "") + "."
+    how = f"k = {coverage:g}" if level is None else f"{100 * level:g} %"
+    place = f" at {position_words(grid.fixed, grid.periodic)}" if any(grid.fixed.values()) else ""
+    words = f"Expanded uncertainty U ({how}) of the decoded position{place}."
     if len(grid.axes) > 1:
         panels = _maps(grid)
         return p.Picture(panels, across=len(panels) // len(grid.pose), words=words)
