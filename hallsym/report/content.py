@@ -45,7 +45,8 @@ class Heading(Words):
 class Table:
     """Rows of text, and numbers as text. The first `left` columns and `wordy` hold text.
 
-    `sortable`: by every column of a page, with JavaScript. A column whose cells are all empty is left out.
+    `sortable`: by every column of a page, with JavaScript. `titled`: a terminal has the caption too, as a
+    page always. A column whose cells are all empty is left out.
     """
 
     kind: ClassVar[str] = "table"
@@ -55,6 +56,7 @@ class Table:
     left: int = 1
     wordy: Sequence[int] = ()
     sortable: bool = False
+    titled: bool = False
 
     def __post_init__(self) -> None:
         """Leave out columns that say nothing."""
@@ -170,7 +172,7 @@ def text_of(blocks: Sequence[Block | str]) -> str:
     for block in blocks:
         if isinstance(block, Table) and block.rows:
             lines += [""] if lines and lines[-1] and not headed else []
-            lines += [block.text, ""]
+            lines += [*([block.caption] if block.titled else []), block.text, ""]
         elif isinstance(block, Heading):
             lines += [*([""] if lines and lines[-1] else []), block.words]
         elif isinstance(block, Items):

@@ -12,6 +12,7 @@ import re
 import textwrap
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cache, partial
 from importlib.resources import files
 from pathlib import Path
@@ -88,18 +89,19 @@ def draw(picture: p.Picture) -> Figure:
         raise InputError("There is nothing to draw: none of the errors has a number.")
     with _style():
         across = min(picture.across, len(picture.panels))
-        lines = [picture.panels[k : k + across] for k in range(0, len(picture.panels), across)]
+        panels = _once(picture.panels, across)
+        lines = [panels[k : k + across] for k in range(0, len(panels), across)]
         plain = [max(panel.height for panel in line) for line in lines]
         high = sum(plain) + sum(max(_around(panel, FONT) for panel in line) for line in lines)
         figure = Drawn(figsize=(WIDTH, high / 72), layout="constrained")
         wide = [panel.share for panel in lines[0]]
         axes = figure.subplots(len(lines), across, squeeze=False, height_ratios=plain, width_ratios=wide)
         keys: dict[str, Any] = {}
-        for ax, panel in zip(axes.flat, picture.panels, strict=False):
+        for ax, panel in zip(axes.flat, panels, strict=False):
             _panel(ax, panel, FONT)
             for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
                 keys.setdefault(label, handle)
-        for ax in axes.flat[len(picture.panels) :]:
+        for ax in axes.flat[len(panels) :]:
             ax.set_axis_off()
         below = textwrap.wrap(printable(picture.words), 115)
         columns = max(1, int(WIDTH * 72 / FONT / (0.5 * max(map(len, keys), default=0) + 5)))
@@ -110,6 +112,16 @@ def draw(picture: p.Picture) -> Figure:
         if below:
             figure.supxlabel("\n".join(below), x=0.01, ha="left")
     return figure
+
+
+def _once(panels: Sequence[p.Panel], across: int) -> list[p.Panel]:
+    """Return panels in rows, each axis once: below, or on the left, of panels that have the same."""
+    below = [*(panel.x for panel in panels[across:]), *[None] * across]
+    left = [None if k % across == 0 else panels[k - 1].y for k in range(len(panels))]
+    return [
+        replace(panel, x=panel.x.beside(x), y=panel.y.beside(y))
+        for panel, x, y in zip(panels, below, left, strict=True)
+    ]
 
 
 def _around(panel: p.Panel, font: float) -> float:

@@ -36,9 +36,10 @@ class Axis:
     names: Sequence[str] | None = None
     most: int = 4
 
-    def outer(self, is_outer: bool) -> Axis:
-        """Return the axis, without title and numbers unless it is the outer one of several equal ones."""
-        return self if is_outer else replace(self, title="", names=())
+    def beside(self, other: Axis | None) -> Axis:
+        """Return the axis, without title and numbers where another one is the same within stated limits."""
+        known = self.low is not None and self.high is not None
+        return replace(self, title="", names=()) if known and self == other else self
 
 
 Layer = Callable[["Axes"], Any]
@@ -64,7 +65,10 @@ class Panel:
 
 @dataclass(frozen=True)
 class Picture:
-    """Panels, up to `across` in a row, with words on all of them."""
+    """Panels, up to `across` in a row, with words on all of them.
+
+    In a file an axis that is the same in several panels is written once, below them or on their left.
+    """
 
     kind: ClassVar[str] = "figure"
     panels: Sequence[Panel]

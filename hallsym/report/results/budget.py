@@ -203,7 +203,7 @@ def budget_bars(budgets: Mapping[str, Budget], *, worst: bool = False) -> p.Pict
         ]
         layers.append(p.text(words, np.maximum(own, 0.0) + 0.02 * (high - low), place))
         x = p.Axis("share of u_c² [%]", low, high)
-        y = p.Axis(low=len(labels) - 0.4, high=-0.6, names=() if panels else labels)
+        y = p.Axis(low=len(labels) - 0.4, high=-0.6, names=labels)
         title = f"{what}{', worst position' if worst else ''}\n{size}"
         panels.append(p.Panel(x, y, layers, title, height=12.2 * len(labels) + 7))
     return p.Picture(panels, across=len(panels))
@@ -243,13 +243,11 @@ def uncertainty_picture(grid: UncertaintyMap) -> p.Picture:
     column, values = next(iter(grid.axes.items()))
     across, shown = scale(column, largest(values), grid.periodic)
     panels = []
-    for k, (coordinate, own) in enumerate(zip(grid.pose, grid.expanded, strict=True)):
+    for coordinate, own in zip(grid.pose, grid.expanded, strict=True):
         factor, unit = scale(coordinate, largest(own), grid.periodic)
         x = p.Axis(f"{name(column)} [{shown}]", across * values[0], across * values[-1], most=8)
         y = p.Axis(f"U {name(coordinate)} [{unit}]", 0.0, 1.15 * factor * own.max())
-        panels.append(
-            p.Panel(x.outer(k == len(grid.pose) - 1), y, [p.line(across * values, factor * own, p.AFTER)])
-        )
+        panels.append(p.Panel(x, y, [p.line(across * values, factor * own, p.AFTER)]))
     return p.Picture(panels, across=1, words=words)
 
 
@@ -270,29 +268,15 @@ def _maps(grid: UncertaintyMap) -> list[p.Panel]:
         low, high = factor * U.min(), factor * U.max()
         if high - low < 1e-3 * high:  # flat: no colours made of rounding
             low, high = 0.98 * low, 1.02 * high
-        last = coordinate == grid.pose[-1]
         for j, value in enumerate(slices):
             layers = p.tiles(x, y, _full(factor * U[:, :, j].T, low, high), 1.0)
-            title = _slice_words(third, value, largest(slices), grid.periodic)
-            panels.append(
-                p.Panel(
-                    x_axis.outer(last), y_axis.outer(j == 0), layers,
-                    title if coordinate == grid.pose[0] else "", height=115.0, grid=False,
-                )
-            )  # fmt: skip
+            first = coordinate == grid.pose[0]
+            title = _slice_words(third, value, largest(slices), grid.periodic) if first else ""
+            panels.append(p.Panel(x_axis, y_axis, layers, title, height=115.0, grid=False))
         steps = np.linspace(low, high, 24)
         key = p.tiles([0.0, 1.0], steps, _full(0.5 * (steps[1:] + steps[:-1]), low, high)[:, None], 1.0)
-        title = f"U {name(coordinate)} [{unit}]"
-        panels.append(
-            p.Panel(
-                p.Axis(low=0.0, high=1.0, names=()),
-                p.Axis(title, low, high),
-                key,
-                height=115.0,
-                share=0.08,
-                grid=False,
-            )
-        )
+        none, sizes = p.Axis(low=0.0, high=1.0, names=()), p.Axis(f"U {name(coordinate)} [{unit}]", low, high)
+        panels.append(p.Panel(none, sizes, key, height=115.0, share=0.08, grid=False))
     return panels
 
 

@@ -415,16 +415,9 @@ def errors_by_setting(fit: Fit, survey: Survey) -> p.Picture:
         if few:  # a stroke from the least to the largest of each
             reach = np.array([np.fmin.reduce(values), np.fmax.reduce(values), np.full(len(groups), np.nan)])
             layers.append(p.line(np.repeat(place, 3), factor * reach.T.ravel(), p.Look(p.FAINT, width=0.6)))
-        names = [label for label, _ in groups] if k == len(fit.model.pose) - 1 else ()
-        x = p.Axis(title if names else "", -0.7, len(groups) - 0.3, names=names)
-        panels.append(
-            p.Panel(
-                x,
-                p.Axis(f"rmse {name(coordinate)} [{shown}]", log=bool((values > 0).any())),
-                layers,
-                height=97.0,
-            )
-        )
+        x = p.Axis(title, -0.7, len(groups) - 0.3, names=[label for label, _ in groups])
+        y = p.Axis(f"rmse {name(coordinate)} [{shown}]", log=bool((values > 0).any()))
+        panels.append(p.Panel(x, y, layers, height=97.0))
     return p.Picture(panels, across=1)
 
 

@@ -351,7 +351,7 @@ def _effect_panel(entries: list[ParameterReport], column: str, report: Identifia
         (together, p.Look(p.BLUE, dash=":"), "all parameters together, 1 sigma"),
     ):
         layers += [p.level(factor * value, look, label, up=True)] if value > 0 else []
-    first, last = column == report.model.pose[0], column == report.model.pose[-1]
     x = p.Axis(f"largest change of {name(column)} [{unit}]", low, high, log=True)
-    y = p.Axis(low=len(rows) - 0.5, high=-0.5, names=[e.name for e in entries] if first else ())
-    return p.Panel(x, y, layers, height=ROW * len(rows), grid=False, beside=words if last else ())
+    y = p.Axis(low=len(rows) - 0.5, high=-0.5, names=[e.name for e in entries])
+    beside = words if column == report.model.pose[-1] else ()
+    return p.Panel(x, y, layers, height=ROW * len(rows), grid=False, beside=beside)

@@ -11,6 +11,7 @@ import numpy as np
 from hallsym.errors import counted
 from hallsym.experiment import Plan, Worst
 from hallsym.log import Log, as_log
+from hallsym.output import said_time
 from hallsym.report import picture as p
 from hallsym.report.content import Content, Section, Table
 from hallsym.report.results.shared import each
@@ -22,7 +23,7 @@ def plan_content(plan: Plan) -> Content:
     """Return what is said of a plan: what it determines, and the runs."""
     study, n = plan.study, len(plan.campaign.runs)
     long, resets = study.ranges.seconds_per_run, study.ranges.reset_s
-    time = f"{number(plan.minutes)} min" + ("" if resets is not None else " without resets")
+    time = said_time(60 * plan.minutes) + ("" if resets is not None else " without resets")
     pose, period = study.model.pose, study.model.period
     worst = dict(zip(pose, plan.position, strict=True))
     uncertain = f"worst u (1 sigma) of the position over the ranges: {each(worst, period)}"

@@ -7,7 +7,7 @@ import numpy as np
 
 from hallsym.output import percent
 from hallsym.report import picture as p
-from hallsym.report.content import Block, Content, Heading, Section, Table
+from hallsym.report.content import Block, Content, Section, Table
 from hallsym.report.results.shared import each, few
 from hallsym.report.tables import cells, heads
 from hallsym.report.words import largest, name, number, scale
@@ -18,7 +18,6 @@ from hallsym.units import fitting, parameter_unit, readable, typeset
 
 def tolerances_content(found: Tolerances) -> Content:
     """Return the report of a study of tolerances: what to tighten first, errors, ranking, Sobol indices."""
-    machines = 2 * found.samples
     basis = (
         f"{found.model.name}: {len(found.active)} tolerances, {found.points} points of the workspace, "
         f"{found.samples} base samples, seed {found.seed}"
@@ -27,22 +26,14 @@ def tolerances_content(found: Tolerances) -> Content:
         f"Tolerances of {found.model.name}",
         _tighten(found),
         [
-            Section("worth", "What a tolerance is worth", [
-                Heading("what a tolerance is worth: fall of the rms error in % if it alone is exact"),
-                worth_table(found),
-            ]),
+            Section("worth", "What a tolerance is worth", [worth_table(found)]),
             Section("indices", "Sobol indices", [
-                Heading("Sobol indices in % of the error over the workspace: first (alone), total"),
                 index_table(found),
                 *_sentences(found),
                 *(f"note: {note}" for note in found.notes),
             ]),
         ],
-        [
-            basis,
-            Heading(f"errors of the nominal decoder without calibration, {machines} machines drawn"),
-            error_table(found),
-        ],
+        [basis, error_table(found)],
     )  # fmt: skip
 
 
@@ -71,7 +62,8 @@ def error_table(found: Tolerances) -> Table:
         "peak of one machine, 95 % below": e.peak_95,
     }
     body = [[label, *cells(values, pose, period)] for label, values in rows.items()]
-    return Table(["errors", *heads(pose, period)], body, "errors of the machines drawn")
+    caption = f"errors of the nominal decoder without calibration, {2 * found.samples} machines drawn"
+    return Table(["errors", *heads(pose, period)], body, caption, titled=True)
 
 
 def worth_table(found: Tolerances) -> Table:
@@ -83,7 +75,8 @@ def worth_table(found: Tolerances) -> Table:
         j = found.active.index(one)
         wide = _percent(found.worth.exact_half[j].max())
         rows.append([one, size(ranges[one]), *map(_percent, found.worth.exact[j]), wide])
-    return Table(head, rows, "fall of the rms error in % if one tolerance is exact", left=2)
+    caption = "what a tolerance is worth: fall of the rms error in % if it alone is exact"
+    return Table(head, rows, caption, left=2, titled=True)
 
 
 def index_table(found: Tolerances) -> Table:
@@ -96,7 +89,8 @@ def index_table(found: Tolerances) -> Table:
         rows.append([one, *(_percent(v) for _, i in indices for v in (i.first[j], i.total[j]))])
     rows.append(["sum", *(_percent(v.sum()) for _, i in indices for v in (i.first, i.total))])
     rows.append(["widest +- (95 %)", *(v for _, i in indices for v in (_percent(i.widest), ""))])
-    return Table(head, rows, "Sobol indices in %")
+    caption = "Sobol indices in % of the error over the workspace: first (alone), total"
+    return Table(head, rows, caption, titled=True)
 
 
 def size(t: Tolerance) -> str:
@@ -197,8 +191,8 @@ def _waves(found: ErrorModel) -> list[Block | str]:
         for n, effects in expected.items()
         if n
     ]
-    heading = Heading(f"causes by the waves of their error per {per}")
-    return [heading, Table(["waves", f"period [{unit}]", "effects"], rows, "waves and causes", left=3)]
+    head, caption = ["waves", f"period [{unit}]", "effects"], f"causes by the waves of their error per {per}"
+    return [Table(head, rows, caption, left=3, titled=True)]
 
 
 COLOURS = (p.BLUE, p.ORANGE, p.GREEN, p.PINK, p.INK, p.YELLOW, p.SKY)
@@ -237,5 +231,5 @@ def errors_along(found: ErrorModel) -> p.Picture:
         at = factor * causes[0][-1].at
         x = p.Axis(f"{moving} [{typeset(unit)}]", at.min(), at.max(), most=8)
         y = p.Axis(f"error of {name(column)} [{y_unit}]")
-        panels.append(p.Panel(x.outer(k == len(pose) - 1), y, layers))
+        panels.append(p.Panel(x, y, layers))
     return p.Picture(panels, across=1)
