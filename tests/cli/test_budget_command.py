@@ -8,6 +8,7 @@ import pytest
 from twins import record, with_noise
 
 from hallsym.estimation import Fit, load_fit
+from hallsym.log import Noise
 from hallsym.report.drawing import draw
 from hallsym.report.results.budget import PALEST, budget_bars, position_words, uncertainty_picture
 from hallsym.uncertainty import Settings, over_log, position_budget, uncertainty_map
@@ -15,6 +16,9 @@ from hallsym.uncertainty import Settings, over_log, position_budget, uncertainty
 ROOT = Path(__file__).resolve().parents[2]
 PUBLISHED = str(ROOT / "data" / "micromachines2019" / "table2_budget.toml")
 SETTINGS = "[zeroing]\naveraged = 100\nx_nm = 20\n[reading]\nadc_step_nm = 50\n"
+
+SAID = Settings(zero_averaged=100, zero_pose_std={"x_m": 20e-9}, adc_step=50e-9)
+"""The same."""
 
 
 @pytest.fixture
@@ -69,12 +73,29 @@ def test_a_position(ran, here):
     assert first.startswith("U (k = 2) of the position at x 100 um, Z 200 um: x 3.356 um, y ")
     assert first.endswith("; fit covariance: likelihood.")
     assert "from 1 reading" in said
-    made = json.loads(ran("calib.json", "--at", "x_um=100", "--at", "z_m=2e-4", "--json"))
-    expected = position_budget(here, {"x_m": 1e-4, "z_m": 2e-4})
-    for column, budget in expected.items():
+
+
+NOISE = {"hall_m": 7e-8, "hall_a_m": 5e-8}
+
+
+@pytest.mark.parametrize(
+    ("words", "at", "settings", "noise"),
+    [
+        (("--at", "x_um=100", "--at", "z_m=2e-4"), {"x_m": 1e-4, "z_m": 2e-4}, Settings(), {}),
+        (("--settings", "settings.toml"), {}, SAID, {}),
+        (("--noise", "hall_m=7e-8", "--noise", "hall_a_um=0.05"), {}, Settings(), NOISE),
+    ],
+    ids=["place", "settings", "noise"],
+)
+def test_options_are_those_of_the_function(ran, here, words, at, settings, noise):
+    made = json.loads(ran("calib.json", *words, "--json"))
+    columns = (*here.model.channels, *here.model.state, *here.model.references)
+    known = here.changed(noise=Noise.given(noise, columns).merged(here.noise))
+    for column, budget in position_budget(known, at, settings).items():
         assert made["budgets"][column]["expanded_uncertainty"] == pytest.approx(budget.expanded, rel=1e-9)
-    assert made["at"]["x_m"] == pytest.approx(1e-4)
+        assert made["at"][column] == pytest.approx(at.get(column, 0.0))
     assert made["map"] is made["recorded"] is made["monte_carlo"] is None
+    assert made["notes"] == [] or not settings.adc_step
 
 
 def test_a_place_leaves_out_nothing_but_zeros():
@@ -84,27 +105,17 @@ def test_a_place_leaves_out_nothing_but_zeros():
     )
 
 
-def test_settings(ran, here):
-    made = json.loads(ran("calib.json", "--settings", "settings.toml", "--json"))
-    names = [s["name"] for s in made["budgets"]["x_m"]["sources"]]
-    assert "hall_a ADC step" in names
-    assert made["notes"] == []
-    pose = next(s for s in made["budgets"]["x_m"]["sources"] if s["name"] == "zeroing: pose x")
-    assert pose["standard_uncertainty"] == pytest.approx(20e-9)
-
-
 def test_a_log_gives_rms_and_worst(ran, here):
     words = ["calib.json", "log.csv", "--settings", "settings.toml", "--noise", "hall_m=5e-7"]
     said = ran(*words, "--at", "z_um=900")
     assert "note: z_m of the budget is outside the recorded workspace" in said
     assert "recorded workspace" in said
     made = json.loads(ran(*words, "--json"))
-    settings = Settings(zero_averaged=100, zero_pose_std={"x_m": 20e-9}, adc_step=50e-9)
-    expected = over_log(here, with_noise(record(seed=1)), settings)
+    expected = over_log(here, with_noise(record(seed=1)), SAID)
     for column in here.model.pose:
         assert made["recorded"]["rms"][column] == pytest.approx(expected.rms[column], rel=1e-6)
         spot = made["recorded"]["worst"][column]
-        budget = position_budget(here, spot["at"], settings)[column]
+        budget = position_budget(here, spot["at"], SAID)[column]
         assert spot["expanded_uncertainty"] == pytest.approx(budget.expanded, rel=1e-6)
 
 

@@ -190,15 +190,6 @@ def test_evaluate_reproduces_the_fit_and_reads_the_channels_that_it_resolved(run
     assert sum(line.startswith("run ") for line in out.splitlines()) == 57
 
 
-def test_simulate_then_fit_recovers_the_truth(run, tmp_path):
-    log = tmp_path / "log.csv"
-    assert run("simulate", "-o", log, "--seed", 3, "--step", 0.02)[0] == 0
-    code, out, _ = run("fit", log, "--solver", "direct", "--json")
-    entry = json.loads(out)["parameters"]["eta_A"]
-    assert code == 0
-    assert abs(entry["value"] - 0.8671) < 5 * entry["std"]
-
-
 def test_info_lists_the_forms_of_corrections(run):
     code, out, _ = run("info", "corrections", "--json")
     forms = json.loads(out)["corrections"]
@@ -208,20 +199,6 @@ def test_info_lists_the_forms_of_corrections(run):
     examples = [line for line in out.splitlines() if line.startswith("    ")]
     assert [line.split()[0] for line in examples] == [form.split()[0] for form in forms]
     assert [read_correction(line.split("  ")[2].strip()).kind for line in examples] == list(MISTAKES)
-
-
-def test_info_on_everything(run, written, tmp_path):
-    log, path, campaign = written(), tmp_path / "calib.json", tmp_path / "campaign.toml"
-    run("fit", log, "-o", path, "--solver", "direct")
-    campaign.write_text(
-        '[[trajectory]]\nduration_s = 1.0\nx_m = {kind = "sine", amplitude = 1e-4, frequency_hz = 1}\n'
-    )
-    for file, word in ((log, "hall_a_m"), (path, "eta_A"), (campaign, "samples"), (None, "stage31")):
-        arguments = ["info"] + ([] if file is None else [file])
-        code, out, _ = run(*arguments)
-        assert code == 0
-        assert word in out
-        json.loads(run(*arguments, "--json")[1])
 
 
 @pytest.mark.parametrize("name", ["stage31", "model31", "rotary_meng"])

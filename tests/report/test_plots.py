@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import reports
-from twins import SIGMAS, record, with_noise
+from twins import SIGMAS, with_noise
 
 from hallsym.cli.main import main
 from hallsym.diagnosis import examine, prepare
 from hallsym.errors import InputError
-from hallsym.estimation import Fit, evaluate, fit
+from hallsym.estimation import Fit, fit
 from hallsym.families import build
 from hallsym.families.recording import Correction
 from hallsym.log import Block, Log
@@ -144,16 +144,6 @@ def test_corrections_of_the_fit_are_applied(log: Log, fitted: Fit) -> None:
 # -- an evaluation ----------------------------------------------------------------------------------------
 
 
-def test_errors_that_are_drawn_are_those_of_the_evaluation(fitted: Fit) -> None:
-    """Zero deviations are those of the log that is evaluated, not of the one that was fitted."""
-    found = evaluate(fitted, with_noise(record(seed=2)))
-    seen = look_over(found.decoded, found.applied)
-    assert seen.runs == found.table.runs
-    assert seen.fitted.squares == pytest.approx(found.table.squares, rel=1e-6)
-    assert seen.fitted.peak == pytest.approx(found.table.peak, rel=1e-6)
-    assert held_out(found.applied) == ()
-
-
 def test_the_command_draws_an_evaluation(tmp_path: Path, capsys) -> None:
     words = ["evaluate", str(CALIBRATION), str(CAMPAIGN), "--plots", str(tmp_path), "--plot-format", "svg"]
     assert main(words) == 0
@@ -203,6 +193,7 @@ def test_trace_keeps_every_extreme_of_a_long_log() -> None:
 
 def test_survey_has_the_error_tables_of_the_fit(fitted: Fit, survey: Survey) -> None:
     assert fitted.errors is not None
+    assert held_out(fitted) == reports.HOLDOUT
     for mine, theirs in ((survey.nominal, fitted.errors.designed), (survey.fitted, fitted.errors.fitted)):
         assert mine.runs == theirs.runs
         np.testing.assert_allclose(mine.squares, theirs.squares, rtol=1e-9)
