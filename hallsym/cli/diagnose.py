@@ -100,7 +100,6 @@ def _page(options: Namespace, seen: Examined) -> str:
     content = diagnosis_content(
         seen.diagnosis,
         maps=shown.maps,
-        after=shown.after,
         series=shown.series,
         fit=first,
         command=_typed(options, first),

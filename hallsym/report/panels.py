@@ -21,13 +21,13 @@ MOST = 12
 """Cells with names in one panel."""
 
 
-def profiles(cells: Cells, output: int, floor: float = 0.0, after: Cells | None = None) -> list[p.Panel]:
+def profiles(both: Sequence[Cells], output: int, floor: float = 0.0) -> list[p.Panel]:
     """Return mean (line) and rms (band to both sides) of one output by cell; `floor` [SI] is dashed.
 
-    `after`: the same cells of another version, drawn over it on the same scale. Cells with names are drawn
+    `both`: the cells of one version, or of two, the second drawn over the first. Cells with names are drawn
     in two panels where they are more than `MOST`, so that they can be read on a phone.
     """
-    both, n = [cells] if after is None else [cells, after], len(cells.count)
+    cells, n = both[0], len(both[0].count)
     reach = max(floor, *(largest(v[output]) for c in both for v in (c.rms, c.mean)))
     step = -(-n // 2) if cells.labels and n > MOST else n
     return [_profile(both, output, floor, reach, range(k, min(k + step, n))) for k in range(0, n, step)]

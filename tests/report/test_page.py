@@ -224,16 +224,17 @@ def test_a_log_without_time_counts_samples(log: Log):
 
 def test_maps_count_every_sample_and_agree_with_the_error_table(log: Log, fitted: Fit):
     found = gather(log, fitted)
-    assert len([m for m in found.maps if m.up]) == 1
-    titles = [m.by for m in found.maps if not m.up]
+    (maps,) = found.maps.values()
+    assert len([m for m in maps if m.up]) == 1
+    titles = [m.by for m in maps if not m.up]
     assert titles[:3] == ["x [µm]", "y [µm]", "Rz [µrad]"]
     assert titles[3].startswith("vertical setting")
     assert titles[4] == "run"
-    for m in found.maps:
+    for m in maps:
         assert m.count.sum() == log.rows
         squares = np.nansum(m.rms**2 * m.count, axis=1)
         np.testing.assert_allclose(squares, found.survey.fitted.squares.sum(axis=0), rtol=1e-9)
-    run = found.maps[-1]
+    run = maps[-1]
     assert [int(run.labels[k]) for k in run.marked] == list(HOLDOUT)
     (block,) = (b for b in log.blocks() if b.run == 2)
     decode = Decoder(fitted)
@@ -248,7 +249,7 @@ def test_gathering_does_not_depend_on_blocks(log: Log, fitted: Fit):
     pieces: Log = Chopped(log, (7, 1, 19))  # type: ignore[assignment]
     pieces.columns = log.columns  # type: ignore[misc]
     parts = gather(pieces, fitted)
-    for a, b in zip(whole.maps, parts.maps, strict=True):
+    for a, b in zip(whole.maps["decoded"], parts.maps["decoded"], strict=True):
         np.testing.assert_array_equal(a.count, b.count)
         np.testing.assert_allclose(a.mean, b.mean, rtol=1e-9, atol=1e-15)
         np.testing.assert_allclose(a.rms, b.rms, rtol=1e-12)
@@ -259,7 +260,7 @@ def test_gathering_does_not_depend_on_blocks(log: Log, fitted: Fit):
 
 def test_an_axis_at_rest_shows_no_bias_at_the_middle(log: Log, fitted: Fit):
     """Runs that move y rest at x = 0 with noise of both signs, which must not decide the cell."""
-    over_x = next(m for m in gather(log, fitted).maps if not m.up)
+    over_x = next(m for m in gather(log, fitted).maps["decoded"] if not m.up)
     middle = np.argmax(over_x.count)
     assert over_x.edges[middle] < 0 < over_x.edges[middle + 1]
     error = over_x.rms[:, middle] / math.sqrt(over_x.count[middle])

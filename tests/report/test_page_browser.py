@@ -97,9 +97,10 @@ def pages(tmp_path_factory, log, fitted) -> dict[str, Path]:
     series = [run_series("run 2, holdout", POSE, t, errors)]
     wordy = a_record()
     wordy["effects"][0]["name"] = wordy["where"][0]["by"] = "a_long_name_of_an_effect_that_a_user_wrote" * 3
+    twice = dict.fromkeys(("before", "after"), found.maps["before"])
     texts = {
         "fit": document(page_content(log, fitted, command="hallsym report calib.json log.csv")),
-        "diagnosis": page_of(wordy, maps=found.maps, after=found.maps, series=series, fit=fitted),
+        "diagnosis": page_of(wordy, maps=twice, series=series, fit=fitted),
     }
     for name, text in texts.items():
         (folder / f"{name}.html").write_text(text, encoding="utf-8")

@@ -171,7 +171,7 @@ def test_each_output_is_drawn_over_the_coordinate_that_it_follows_most():
         mean = np.outer(slopes, [-1e-6, 1e-6])
         return Cells(by, POSE, np.array([3, 4]), mean, np.abs(mean), edges=(-1.0, 0.0, 1.0))
 
-    page = page_of(a_record(), maps=[along("x [µm]", 2, 0, 0.5), along("y [µm]", 1, 3, 0.2)])
+    page = page_of(a_record(), maps={"before": [along("x [µm]", 2, 0, 0.5), along("y [µm]", 1, 3, 0.2)]})
     first = page.partition("each error follows most")[2].partition("</figure>")[0]
     assert re.findall(r">([xy] \[µm\])</text>", first) == [*2 * ["x [µm]"], *2 * ["y [µm]"], "x [µm]"]
 
@@ -208,7 +208,7 @@ def test_maps_and_series_are_optional_and_shown():
     )  # fmt: skip
     both = [cells, replace(cells, by="y [µm]")]
     series = [run_series("run 2", POSE, t, errors)]
-    page, alone = (page_of(a_record(), maps=maps, series=series) for maps in (both, both[:1]))
+    page, alone = (page_of(a_record(), maps={"before": maps}, series=series) for maps in (both, both[:1]))
     assert {"maps", "series"} <= {a["id"] for a in Outline(page).all("section")}
     # all that there is of a single coordinate stands above the sections, once
     assert "maps" not in {a["id"] for a in Outline(alone).all("section")}

@@ -136,15 +136,13 @@ RUNS = 20
 class Gathered:
     """What a page shows of a log: `survey`, maps and series of the errors of decoded poses.
 
-    `maps`: over the first two coordinates that move, along each, by setting, by run. `series`: worst first.
-    `before`, `after`: the same maps of other versions of the model; empty without one.
+    `maps`: of one or two versions of the model over the first two coordinates that move, along each, by
+    setting, by run. `series`: worst first.
     """
 
     survey: Survey
-    maps: tuple[Cells, ...]
+    maps: Mapping[str, tuple[Cells, ...]]
     series: tuple[RunSeries, ...]
-    after: tuple[Cells, ...] = ()
-    before: tuple[Cells, ...] = ()
 
 
 Errors = Iterator[tuple[Block, np.ndarray]]
@@ -201,8 +199,7 @@ def gather(
         traces = {key: made[run] for key, (_, made) in found.items()}
         title = f"run {run}{', holdout' if run in held_out(fit) else ''}"
         series.append(series_of(title, pose, traces, timed=survey.timed, periodic=period))
-    maps = {key: every for key, (every, _) in found.items()}
-    return Gathered(survey, maps[label], tuple(series), maps.get("after", ()), maps.get("nominal", ()))
+    return Gathered(survey, {key: maps for key, (maps, _) in found.items()}, tuple(series))
 
 
 def _read(

@@ -173,18 +173,19 @@ def look_over(log: Log, fit: Fit, keep: Weigh | None = None) -> Survey:
         samples += len(part.kept)
     count, squares, total = np.split(np.array([*sums.values()]), [1, 1 + 2 * n], axis=1)
     peak, low, high = np.split(np.array([*most.values()]), [2 * n, 2 * n + len(rows)], axis=1)
-    tables = [
+    nominal, fitted = (
         ErrorTable(fit.model.pose, tuple(sums), count[:, 0], squares[:, at], peak[:, at])
         for at in (slice(n), slice(n, 2 * n))
-    ]
+    )
     known = count[:, 0] > 0
     return Survey(
         samples,
         np.where(known[:, None], total / np.maximum(count, 1.0), np.array([*first.values()])),
         np.where(known[:, None], high[:, n:] + low[:, n:], 0.0),
         np.column_stack([-low.max(axis=0), high.max(axis=0)]) if known.any() else np.zeros((len(rows), 2)),
-        *tables,
-        timed="t_s" in log.columns,
+        nominal,
+        fitted,
+        "t_s" in log.columns,
     )
 
 

@@ -29,7 +29,7 @@ from hallsym.families import FAMILIES, added_effects, effects, plain
 from hallsym.output import percent
 from hallsym.report import picture as p
 from hallsym.report.content import Block, Content, Heading, Items, Note, Section, Table
-from hallsym.report.data.gather import Cells, RunSeries
+from hallsym.report.data.gather import RunSeries
 from hallsym.report.panels import Sizes
 from hallsym.report.picture import BEFORE
 from hallsym.report.results import shared
@@ -50,8 +50,7 @@ MOST = 12
 def diagnosis_content(
     d: Diagnosis,
     *,
-    maps: Sequence[Cells] = (),
-    after: Sequence[Cells] = (),
+    maps: shared.Versions | None = None,
     series: Sequence[RunSeries] = (),
     fit: Fit | None = None,
     command: str = "",
@@ -59,9 +58,9 @@ def diagnosis_content(
 ) -> Content:
     """Return the report of a diagnosis.
 
-    `maps`, `after`, `series`: of the errors before and after, from `gather`, for a page. `fit`: the
-    calibration that was diagnosed, for its parameter table. `command`: what was typed, `reading`: the words
-    of it that say how the log is read, for the next command.
+    `maps`, `series`: of the errors before and after, from `gather`, for a page. `fit`: the calibration that
+    was diagnosed, for its parameter table. `command`: what was typed, `reading`: the words of it that say how
+    the log is read, for the next command.
     """
     word = f"{d.verdict.capitalize()}."
     why, following = _next(d, fit, reading)
@@ -74,7 +73,7 @@ def diagnosis_content(
             _effects_section(d),
             _where_section(d),
             _rest_section(d),
-            shared.maps_section({"before": maps, "after": after}, d.noise_floor.outputs, seen=True),
+            shared.maps_section(maps or {}, d.noise_floor.outputs, seen=True),
             shared.runs_section(series),
             Section("parameters", "Parameters", shared.parameters_of(fit) if fit else []),
             Section("notes", "Other checks", [Items(_notes(d))]),
@@ -85,7 +84,7 @@ def diagnosis_content(
             _basis(d),
             _errors(d),
             *(shared.expanded_at_rest(fit) if fit and not changed(d) else []),
-            *shared.first_view(series, maps, after, d.noise_floor.outputs),
+            *shared.first_view(series, maps or {}, d.noise_floor.outputs),
         ],
         state=STATES.get(d.verdict, "open"),
         word=word,

@@ -283,11 +283,11 @@ def page_content(log: Log, fit: Fit, *, command: str = "", calibration: str = "c
         first=[
             errors,
             *shared.expanded_at_rest(fit),
-            *shared.first_view(found.series, found.before, found.maps, fit.noise_floor),
+            *shared.first_view(found.series, found.maps, fit.noise_floor),
         ],
         sections=[
             Section("input", "Input", [_input(log, fit, found, same)]),
-            shared.maps_section({"fitted": found.maps}, fit.noise_floor),
+            shared.maps_section({"fitted": found.maps["fitted"]}, fit.noise_floor),
             shared.runs_section([replace(s, lines={"fitted": s.lines["fitted"]}) for s in found.series]),
             Section("repeating", "Errors that repeat", periodic_blocks(fit, log)),
             *(s for s in said.sections if s.ident in ("logs", "parameters")),

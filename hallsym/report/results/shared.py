@@ -117,79 +117,66 @@ def expanded_at_rest(fit: Fit) -> list[str]:
 # -- where, when, and how the error is distributed ---------------------------------------------------------
 
 
-def maps_section(
-    found: Mapping[str, Sequence[Cells]], floor: Mapping[str, float], *, seen: bool = False
-) -> Section:
-    """Return the maps of the error; `found`: version of the model -> the same maps, one or two versions.
+Versions = Mapping[str, Sequence[Cells]]
+"""The maps of one version of the model, or the same maps of two, before and after."""
+
+
+def maps_section(found: Versions, floor: Mapping[str, float], *, seen: bool = False) -> Section:
+    """Return the maps of the error.
 
     Of two versions maps over two coordinates stand one under the other on a common scale; along a coordinate
     and by runs one is drawn over the other. `seen`: `first_view` shows these versions, all that there is of
     a single coordinate, which is not drawn again.
     """
-    versions = {version: cells for version, cells in found.items() if cells}
-    content: list[Any] = []
-    if versions:
-        first, *second = versions.values()
-        pairs = list(zip(first, second[0] if second else [None] * len(first), strict=True))
-        content += _planes(versions, floor)
-        along = [(m, a) for m, a in pairs if not (m.up or m.labels)]
-        grouped = [(m, a) for m, a in pairs if m.labels]
-        content += _profiles([] if seen and len(along) == 1 else along, grouped, floor, bool(second))
+    how, along = _how([*found], floor), _along(found)
+    along = [] if seen and len(along) == 1 else along
+    content = _planes(found, floor)
+    content += [Note(f"Along one coordinate. {how}")] if along else []
+    content += [Picture(_charts(pair, floor), words=f"over {pair[0].by}") for pair in along]
+    for m, *after in zip(*found.values(), strict=True):
+        if m.labels:
+            marked = " An h marks runs of the holdout." if m.marked else ""
+            content += [Heading(f"By {m.by}"), Note(f"{how}{marked}")]
+            content.append(Picture(_charts([m, *after], floor), across=2))
     return Section("maps", "Where the error is", content)
 
 
-def _planes(versions: Mapping[str, Sequence[Cells]], floor: Mapping[str, float]) -> list[Any]:
-    flat = {version: m for version, maps in versions.items() for m in maps if m.up}
-    figures = [
+def _along(found: Versions) -> list[list[Cells]]:
+    """Return the maps along one coordinate, each of every version."""
+    return [[*each] for each in zip(*found.values(), strict=True) if not (each[0].up or each[0].labels)]
+
+
+def _planes(found: Versions, floor: Mapping[str, float]) -> list[Any]:
+    flat = {version: m for version, maps in found.items() for m in maps if m.up}
+    pictures = [
         Picture(
             [plane(m, [*flat.values()], what, k, floor.get(c) or 0.0) for k, c in enumerate(m.pose)],
-            words=f"{what}{f', {version}' if len(versions) > 1 else ''}",
+            words=f"{what}{f', {version}' if len(found) > 1 else ''}",
         )
         for what in ("mean", "rms")
         for version, m in flat.items()
     ]
-    more = " Before and after have one scale." if len(versions) > 1 else ""
+    more = " Before and after have one scale." if len(found) > 1 else ""
     note = f"Over the first two coordinates that move. {COLOURS}{more}"
-    return [Note(note), *figures] if figures else []
+    return [Note(note), *pictures] if pictures else []
 
 
-def _profiles(
-    along: Sequence[tuple[Cells, Cells | None]],
-    grouped: Sequence[tuple[Cells, Cells | None]],
-    floor: Mapping[str, float],
-    both: bool,
-) -> list[Any]:
-    how = _how(("before", "after") if both else (), floor)
-    content: list[Any] = [Note(f"Along one coordinate. {how}")] if along else []
-    content += [Picture(_charts(m, a, floor), words=f"over {m.by}") for m, a in along]
-    for m, a in grouped:
-        marked = " An h marks runs of the holdout." if m.marked else ""
-        content += [Heading(f"By {m.by}"), Note(f"{how}{marked}")]
-        content.append(Picture(_charts(m, a, floor), across=2))
-    return content
+def _charts(both: Sequence[Cells], floor: Mapping[str, float]) -> list[Any]:
+    return [c for k, name_ in enumerate(both[0].pose) for c in profiles(both, k, floor.get(name_) or 0.0)]
 
 
-def _charts(m: Cells, a: Cells | None, floor: Mapping[str, float]) -> list[Any]:
-    return [c for k, name_ in enumerate(m.pose) for c in profiles(m, k, floor.get(name_) or 0.0, a)]
-
-
-def first_view(
-    series: Sequence[RunSeries], before: Sequence[Cells], after: Sequence[Cells], floor: Mapping[str, float]
-) -> list[Block]:
-    """Return the error over the time of the worst run and over a coordinate, before and, if known, after."""
+def first_view(series: Sequence[RunSeries], found: Versions, floor: Mapping[str, float]) -> list[Block]:
+    """Return the error over the time of the worst run, and over a coordinate."""
     blocks: list[Block] = []
     if series:
         said = f"Over time, {series[0].title}. {_colours([*series[0].lines])}"
         blocks.append(Picture(over_time(series[0], every=True), words=said.rstrip()))
-    later = dict(enumerate(after))
-    along = [(b, later.get(k)) for k, b in enumerate(before) if not (b.up or b.labels)]
-    if along:
+    if along := _along(found):
         charts = []
         for k, output in enumerate(along[0][0].pose):
-            b, a = max(along, key=lambda pair: _follows(pair[0], k))
-            charts += profiles(b, k, floor.get(output) or 0.0, a)
-        versions = [*series[0].lines] if series else ["before", "after"]
-        how = _how(versions if after else (), floor)
+            both = max(along, key=lambda each: _follows(each[0], k))
+            charts += profiles(both, k, floor.get(output) or 0.0)
+        how = _how([*found], floor)
         blocks.append(Picture(charts, words=f"Over the coordinate that each error follows most. {how}"))
     return blocks
 
