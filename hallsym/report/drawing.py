@@ -14,6 +14,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,6 @@ from hallsym.errors import InputError
 from hallsym.files import atomic_write, reason
 from hallsym.output import printable
 from hallsym.report import picture as p
-from hallsym.report.content import part
 from hallsym.report.words import minus, number
 
 WIDTH, DPI, FONT = 7.1, 300, 8.0
@@ -286,8 +286,8 @@ def _margins(panel: p.Panel) -> tuple[float, float, float, float]:
 @cache
 def variables() -> dict[str, str]:
     """Return the CSS variable of each colour, from the style sheet of the pages."""
-    found = re.findall(r"(--\w+): (#\w{6})\b", part("page.css"))
-    return {colour: f"var({name})" for name, colour in reversed(found)}
+    sheet = files("hallsym.report").joinpath("templates", "page.css").read_text(encoding="utf-8")
+    return {colour: f"var({name})" for name, colour in reversed(re.findall(r"(--\w+): (#\w{6})\b", sheet))}
 
 
 class _Svg(RendererBase):
