@@ -27,8 +27,24 @@ NEWTON = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Reference:
-    """A model of place and height or of six coordinates at parameters `p`, over poses `middle` +- `half`."""
+class Group:
+    """Channels that see one array: their numbers, the pose coordinate `axis` it repeats along, its phasor."""
+
+    channels: tuple[int, ...]
+    axis: int
+    phasor: Phasor
+    place: np.ndarray
+    """Coordinate at which the middle of an array that ends is over each channel (n,) [m]."""
+    lever: np.ndarray
+    """What rotations move height and place at the middle of the array by, complex (3,) or (0,) [m / rad]."""
+    length: float
+    """Of the array [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Arrays:
+    """Arrays of a model of place and height or of six coordinates at parameters `p`, over poses `middle` +-
+    `half`."""
 
     model: Model
     p: np.ndarray
@@ -37,6 +53,7 @@ class Reference:
     half: np.ndarray
     accuracy: np.ndarray
     """What terms may leave of each coordinate (n_pose,)."""
+    groups: tuple[Group, ...]
     memory: dict = field(default_factory=dict, kw_only=True)
     """Trial poses and their readings by seed and number, the same whatever is chosen for a decoder."""
 
@@ -54,6 +71,25 @@ class Reference:
     def turns(self) -> range:
         """Numbers of the rotations among the coordinates."""
         return range(self.height + 1, len(self.middle))
+
+    @cached_property
+    def axes(self) -> dict[int, list[int]]:
+        """Numbers of the arrays along each axis."""
+        along = {axis: [k for k, g in enumerate(self.groups) if g.axis == axis] for axis in (0, 1)}
+        return {axis: members for axis, members in along.items() if members}
+
+    def wave_of(self, axis: int) -> float:
+        """Wavelength along a coordinate [m]."""
+        return 2 * pi * self.groups[self.axes[axis][0]].phasor.lc
+
+    def phasors(self, readings: np.ndarray) -> list[np.ndarray]:
+        """Return the phasor (s,) of each array."""
+        return [g.phasor.solved(readings[list(g.channels)]) for g in self.groups]
+
+    @cached_property
+    def at_middle(self) -> np.ndarray:
+        """Phasor of each array in the middle of the box (arrays,)."""
+        return np.array(self.phasors(self.readings(self.middle[:, None])))[:, 0]
 
     @cached_property
     def _run(self) -> Callable[..., list[np.ndarray]]:
@@ -123,40 +159,6 @@ Term = tuple[str, tuple[int, ...], int]
 """Kind, numbers of the rotations that it is multiplied by, and 0 for its real or 1 for its imaginary part."""
 
 
-@dataclass(frozen=True, eq=False)
-class Group:
-    """Channels that see one array: their numbers, the pose coordinate it repeats along, its phasor."""
-
-    channels: tuple[int, ...]
-    axis: int
-    phasor: Phasor
-
-
-@dataclass(frozen=True, eq=False)
-class Arrays(Reference):
-    """Arrays of a model at parameters `p`, over poses `middle` +- `half` (6,)."""
-
-    groups: tuple[Group, ...]
-
-    def wave_of(self, axis: int) -> float:
-        """Wavelength along a coordinate [m]."""
-        return 2 * pi * self.groups[self.axes[axis][0]].phasor.lc
-
-    @cached_property
-    def axes(self) -> dict[int, list[int]]:
-        """Numbers of the arrays along each axis."""
-        return {axis: [k for k, g in enumerate(self.groups) if g.axis == axis] for axis in (0, 1)}
-
-    def phasors(self, readings: np.ndarray) -> list[np.ndarray]:
-        """Return the phasor (s,) of each array."""
-        return [g.phasor.solved(readings[list(g.channels)]) for g in self.groups]
-
-    @cached_property
-    def at_middle(self) -> np.ndarray:
-        """Phasor of each array in the middle of the box (arrays,)."""
-        return np.array(self.phasors(self.readings(self.middle[:, None])))[:, 0]
-
-
 def turning_of(u: np.ndarray, rotations: np.ndarray, term: Term) -> np.ndarray:
     """Return a term (s,) of a phasor and rotations (3, s)."""
     kind, turns, part = term
@@ -202,10 +204,13 @@ def groups_of(
     """
     sample = Sample(model, p, middle, heights)
     found = [
-        Group(tuple(w.own[k] for k in members), w.axis, phasor_of(w, members, weight, exact=False))
+        Group(
+            tuple(w.own[k] for k in members), w.axis, phasor_of(w, members, weight, exact=False),
+            w.place[members], lever, w.length,
+        )
         for w in levelled(sample, np.zeros(len(middle)), Window.of_period)
-        for members, _ in w.arrays()
-    ]
+        for members, lever in w.arrays()
+    ]  # fmt: skip
     check_along(model, [group.axis for group in found])
     return tuple(found), sample.at
 

@@ -67,6 +67,11 @@ class Phasor:
     harmonics: tuple[int, ...]
     """Harmonics beyond the first that count."""
 
+    def design(self, n: int = 1) -> np.ndarray:
+        """Return what each channel reads of the real and imaginary part of u^n, (2, n_channels)."""
+        own = self.factor[:, n - 1]
+        return np.stack([own.real, -own.imag])
+
     @property
     def shift(self) -> np.ndarray:
         """What the weighted offsets take off cos and sin, (2,)."""
@@ -75,10 +80,7 @@ class Phasor:
     @cached_property
     def shares(self) -> Mapping[int, np.ndarray]:
         """By harmonic n: E (2, 2), the weighted sums of its readings are E (Re u^n, Im u^n)."""
-        return {
-            n: self.weights @ np.stack([self.factor[:, n - 1].real, -self.factor[:, n - 1].imag], axis=1)
-            for n in self.harmonics
-        }
+        return {n: self.weights @ self.design(n).T for n in self.harmonics}
 
     @cached_property
     def parts(self) -> Mapping[int, tuple[complex, complex]]:

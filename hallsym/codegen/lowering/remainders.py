@@ -81,8 +81,7 @@ class _Left:
         self.made, self.wave, self.tilts, self.tilted = made, wave, tilts, tilted
         own = sigma[list(wave.numbers)]
         self.scale, self.unit = sigma.max() / own, float(sigma.max())
-        first = wave.phasor.factor[:, 0]
-        self.rows = np.stack([first.real, -first.imag], axis=1)
+        self.rows = wave.phasor.design().T
         self.powers = Powers(made, *wave.at, f"_of{wave.tag}")
         for n in wave.phasor.harmonics:
             real, imaginary = (f"{part}_{n}_{wave.rounds}{wave.tag}" for part in ("real", "imaginary"))

@@ -23,9 +23,9 @@ from hallsym.codegen import residual
 from hallsym.codegen.decoupler import Box, Collected, Decoupler, Flag, Redundancy, Watched, short
 from hallsym.codegen.lowering import wave_steps
 from hallsym.codegen.lowering.arrays import LOST, NEAR, TRIALS, Assembly, ends_and_leaves
-from hallsym.codegen.lowering.arrays_fit import Reference, check_along
+from hallsym.codegen.lowering.arrays_fit import Arrays, Group, check_along
 from hallsym.codegen.lowering.passing import NeverEnds, passed
-from hallsym.codegen.lowering.phasors import HARMONICS, PLACES, WIDE, Phasor, Sample, Window, levelled
+from hallsym.codegen.lowering.phasors import HARMONICS, Phasor, Sample, Window, levelled
 from hallsym.codegen.lowering.remainders import UNKNOWNS
 from hallsym.codegen.lowering.wave_steps import Pair, wave_of
 from hallsym.errors import InputError, counted
@@ -41,43 +41,12 @@ RAMP = 0.5
 COVER = 0.5
 """Share of the least cover of the box below which the flag is set."""
 COVERED = "too few sensors see an array: it is at an end of the board or beyond"
-FAR = 30
-"""Wavelengths away at which it is seen whether the arrays end: more than arrays have, and some mrad do not
-lift a mover out of sight on the way."""
-ENDED = 0.05
-"""Share of its swing that a channel may have there."""
 
 
 @dataclass(frozen=True, eq=False)
-class Row:
-    """Channels of one array along one row: sensor k reads offset + Re sum c_kn u^n under it.
-
-    u = exp(rising (z - middle) / lc + i x / lc) of the middle of the array, where x is the coordinate `axis`.
-    """
-
-    channels: tuple[int, ...]
-    axis: int
-    place: np.ndarray
-    """Coordinate at which the middle of the array is over each sensor (n,) [m]."""
-    offset: np.ndarray
-    factor: np.ndarray
-    lever: np.ndarray
-    """What rotations move height and place at the middle of the array by, complex (3,) or (0,) [m / rad]."""
-    length: float
-
-    def design(self, n: int = 1) -> np.ndarray:
-        """What each sensor reads of the real and imaginary part of u^n, (2, n_sensors) [V]."""
-        own = self.factor[:, n - 1]
-        return np.stack([own.real, -own.imag])
-
-
-@dataclass(frozen=True, eq=False)
-class Rows(Reference):
+class Rows(Arrays):
     """Arrays over rows of sensors, at parameters `p`, over poses `middle` +- `half`."""
 
-    rows: tuple[Row, ...]
-    lc: float
-    rising: float
     margin: float = 0.0
     """Wavelengths from the ends of an array within which a sensor does not count."""
     rounds: int = 0
@@ -95,11 +64,15 @@ class Rows(Reference):
         """Whether the readings say which period it is: of one array that is not tilted."""
         return not self.turns
 
-    @cached_property
-    def axes(self) -> dict[int, list[int]]:
-        """Numbers of the rows along each axis."""
-        along = {axis: [k for k, row in enumerate(self.rows) if row.axis == axis] for axis in (0, 1)}
-        return {axis: members for axis, members in along.items() if members}
+    @property
+    def lc(self) -> float:
+        """Wavelength over 2 pi [m]."""
+        return self.groups[0].phasor.lc
+
+    @property
+    def rising(self) -> float:
+        """1 where the field grows with the height, -1 where it falls."""
+        return self.groups[0].phasor.rising
 
     @cached_property
     def harmonics(self) -> tuple[int, ...]:
@@ -107,74 +80,56 @@ class Rows(Reference):
         if self.plainly:
             return ()
         reach = np.exp(np.arange(HARMONICS) * self.half[self.height] / self.lc)
-        share = np.max(
-            [np.abs(r.factor).max(axis=0) / np.abs(r.factor[:, 0]).max() for r in self.rows], axis=0
-        )
+        sizes = [np.abs(row.phasor.factor) for row in self.groups]
+        share = np.max([size.max(axis=0) / size[:, 0].max() for size in sizes], axis=0)
         counts = share * reach > COUNTS * MICRON / self.lc
         return tuple(n for n in range(2, HARMONICS + 1) if counts[n - 1])
 
     @property
     def plain(self) -> Phasor:
         """The first harmonic of a row, of which functions are bounded."""
-        row, middle = self.rows[0], float(self.middle[self.height])
-        nothing = np.zeros((2, len(row.channels)))
-        return Phasor(self.lc, self.rising, middle, nothing[0], row.factor[:, :1], nothing, ())
+        phasor = self.groups[0].phasor
+        return replace(phasor, factor=phasor.factor[:, :1], harmonics=())
 
     # -- the decoder -----------------------------------------------------------------------------------------
 
     @cached_property
     def inverse(self) -> np.ndarray:
         """Pose per place and height of the rows (n_pose, 2 rows), least squares."""
-        n, slopes = len(self.rows), np.zeros((2 * len(self.rows), len(self.middle)))
-        for k, row in enumerate(self.rows):
+        n, slopes = len(self.groups), np.zeros((2 * len(self.groups), len(self.middle)))
+        for k, row in enumerate(self.groups):
             slopes[k, row.axis], slopes[n + k, self.height] = 1.0, 1.0
             slopes[k, 3:], slopes[n + k, 3:] = row.lever.imag, self.rising * row.lever.real
         arm = self.model.family.pose_metric.arm_m
         scale = np.array([1 / arm if k in self.turns else 1.0 for k in range(len(self.middle))])
         return np.asarray(scale[:, None] * np.linalg.pinv(slopes * scale))
 
-    def tilt_of(self, row: Row) -> int:
+    def tilt_of(self, row: Group) -> int:
         """Number of the rotation that lifts one end of the array: about the axis across it."""
         return 4 if row.axis == 0 else 3
 
-    def lift_of(self, row: Row) -> float:
+    def lift_of(self, row: Group) -> float:
         """What that rotation adds to ln |u| per metre along the row."""
         return (1.0 if row.axis == 0 else -1.0) * self.rising / self.lc
 
     @cached_property
     def whole(self) -> tuple[float, float]:
         """Places between which all of one array is over its row; the middle of the row where it never is."""
-        (row,) = self.rows
+        (row,) = self.groups
         place = np.sort(row.place)
         half = (row.length - float(np.median(np.diff(place)))) / 2
         low, high = float(place[0]) + half, float(place[-1]) - half
         return (low, high) if low <= high else ((low + high) / 2,) * 2
 
-    def wave_of(self, axis: int) -> float:
-        """Wavelength along a coordinate [m]."""
-        return self.wavelength
-
     def travels(self) -> bool:
         """Whether some sensor is beyond the end of its array somewhere in the box."""
         return any(
             np.abs(row.place - self.middle[row.axis]).max() + self.half[row.axis] > row.length / 2
-            for row in self.rows
+            for row in self.groups
         )
 
 
 # -- found from the model ------------------------------------------------------------------------------------
-
-
-def ends(model: Model, p: np.ndarray, middle: np.ndarray, heights: tuple[float, float]) -> bool:
-    """Return whether the arrays of a model end: far away its channels read nothing that varies."""
-    sample = Sample(model, p, middle, heights)
-    for axis in (0, 1):
-        x = np.random.default_rng(0).uniform(-1, 1, PLACES) * WIDE
-        z, far = np.full(PLACES, sample.middle), FAR * 2 * pi * sample.lc(axis)
-        here, away = (sample.readings(axis, x + by, z).std(axis=1).max() for by in (0.0, far))
-        if not away < ENDED * here:
-            return False
-    return True
 
 
 def rows_of(
@@ -185,29 +140,34 @@ def rows_of(
     `box`: its middle and half (n_pose,); `accuracy` (n_pose,): what terms may leave of each coordinate.
     """
     middle, half = box
-    height = Reference.height_of(middle)
+    height = Arrays.height_of(middle)
     sample = Sample(model, p, middle, (middle[height] - half[height], middle[height] + half[height]), height)
     windows = levelled(sample, half, lambda sample, axis, own: passed(sample, axis, own, half))
-    rows, lc = [row for w in windows for row in _rows(w)], float(np.mean([w.lc for w in windows]))
+    like = Phasor(
+        float(np.mean([w.lc for w in windows])), sample.rising(0), float(middle[height]),
+        np.zeros(0), np.zeros((0, 0)), np.zeros((2, 0)), (),
+    )  # fmt: skip
+    rows = tuple(row for w in windows for row in _rows(w, like))
     if len(middle) > height + 1:
         check_along(model, [row.axis for row in rows])
     at = np.concatenate([middle[:3], sample.at[3:]])
-    wide = half + np.abs(middle - at)
-    return Rows(model, p, weight, at, wide, accuracy, tuple(rows), lc, sample.rising(0))
+    return Rows(model, p, weight, at, half + np.abs(middle - at), accuracy, rows)
 
 
-def _rows(window: Window) -> list[Row]:
-    """Return the rows of an axis: channels that one array passes at one place across it."""
+def _rows(window: Window, like: Phasor) -> list[Group]:
+    """Return the rows of an axis: channels that one array passes at one place across it.
+
+    u of their phasors is 1 where the middle of the array is at 0.
+    """
     place = window.place + window.sample.at[window.axis]
     _, offset, factor, _ = window.fitted()
     factor = factor * np.exp(-1j * np.arange(1, HARMONICS + 1) * place[:, None] / window.lc)
     out = []
     for members, lever in window.arrays():
         order = sorted(members, key=lambda k: place[k])
+        phasor = replace(like, offset=offset[order], factor=factor[order])
         channels = tuple(window.own[k] for k in order)
-        out.append(
-            Row(channels, window.axis, place[order], offset[order], factor[order], lever, window.length)
-        )
+        out.append(Group(channels, window.axis, phasor, place[order], lever, window.length))
     return out
 
 
@@ -227,11 +187,9 @@ def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box, accurac
     array. Raises `InputError` for one that does not end.
     """
     middle, half, leaves = ends_and_leaves(model, box, accuracy)
-    p, height = np.asarray(p, dtype=float), Reference.height_of(middle)
+    p, height = np.asarray(p, dtype=float), Arrays.height_of(middle)
     low, high = middle[height] - half[height], middle[height] + half[height]
     several = len(middle) > height + 1
-    if several and not ends(model, p, middle, (low, high)):
-        return None
     own = replace(model, period={c: v for c, v in model.period.items() if c not in model.pose})
     try:
         found = replace(rows_of(model, p, weight, (middle, half), leaves), model=own)
@@ -241,11 +199,11 @@ def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box, accurac
         raise
     if several and not found.travels():
         return None
-    tilted = float(np.abs(np.array([row.lever for row in found.rows])).max(axis=0) @ half[3:])
+    tilted = float(np.abs(np.array([row.lever for row in found.groups])).max(axis=0) @ half[3:])
     wave = wave_of(found.plain, (low - tilted, high + tilted), float(leaves[0]))
 
     def assembly(found: Rows) -> _Assembly:
-        return _Assembly(found, (wave,) * len(found.rows), box)
+        return _Assembly(found, (wave,) * len(found.groups), box)
 
     return assembly(_best(found, assembly)).make()
 
@@ -256,7 +214,7 @@ def _best(found: Rows, assembly: "Callable[[Rows], _Assembly]") -> Rows:
     least = 1 if found.turns else 0
     for margin in MARGINS:
         one = replace(found, margin=margin, rounds=least, plainly=True)
-        if 2 * margin * one.wavelength >= min(r.length for r in one.rows) - one.wavelength:
+        if 2 * margin * one.wavelength >= min(r.length for r in one.groups) - one.wavelength:
             continue
         size, price = _left(assembly(one)), 1.0
         tried.append((size, len(tried), one))
@@ -295,7 +253,7 @@ class _Assembly(Assembly):
     _normal: dict[str, tuple] = field(default_factory=dict, init=False)
     """By row: sensors times weight, the normal matrix and one over its determinant."""
 
-    def _channels(self, row: Row) -> list[str]:
+    def _channels(self, row: Group) -> list[str]:
         return [short(self.found.model.channels[k]) for k in row.channels]
 
     def wide(self, axis: int) -> bool:
@@ -311,14 +269,14 @@ class _Assembly(Assembly):
         made.entry("per_wave", 1 / found.wavelength, "1/m", "periods per metre", "sign")
         wave_steps.least_inside(made, self.waves[:1])
         self.at = {axis: self._first(axis, members) for axis, members in found.axes.items()}
-        for row, name in zip(found.rows, self.names, strict=True):
+        for row, name in zip(found.groups, self.names, strict=True):
             self._weights(row, name)
         tags = [*(f"_{k}" for k in range(found.rounds)), ""]
         seen = self._solved(tags[0])
         self.spread = self.spread_of([value.name() for value in seen.values()])
         self._covered(tags[0])
         for before, tag in pairwise(tags):
-            tilts = sorted({found.tilt_of(row) for row in found.rows}) if found.turns else ()
+            tilts = sorted({found.tilt_of(row) for row in found.groups}) if found.turns else ()
             turns = {k: self._first_turn(k, seen, before) for k in tilts}
             seen = self._solved(tag, before, turns)
         return list(seen.values())
@@ -334,10 +292,10 @@ class _Assembly(Assembly):
         """The place along an axis that all its sensors agree on, in the period that is meant."""
         made, column, cos, sin = self.made, short(self.found.model.pose[axis]), [], []
         for k in members:
-            row = self.found.rows[k]
-            design = row.design()
+            row = self.found.groups[k]
+            design = row.phasor.design()
             for j, name in enumerate(self._channels(row)):
-                offset = made.entry(f"offset_{name}", float(row.offset[j]), "V", f"offset of {name}")
+                offset = made.entry(f"offset_{name}", float(row.phasor.offset[j]), "V", f"offset of {name}")
                 reading = made.symbols[self.found.model.channels[row.channels[j]]]
                 f = made.step(f"field_{name}", reading - offset)
                 cos.append(f * made.entry(f"cos_{name}", design[0, j], "V", f"read by {name} of the cosine"))
@@ -353,7 +311,7 @@ class _Assembly(Assembly):
 
     def _middle_seen(self) -> ca.SX:
         """The middle of one array as far as the squares of the readings say it."""
-        made, (row,), (low, high) = self.made, self.found.rows, self.found.whole
+        made, (row,), (low, high) = self.made, self.found.groups, self.found.whole
         names = self._channels(row)
         energy = [made.step(f"energy_{n}", made.symbols[f"field_{n}"] ** 2) for n in names]
         total = made.total("energy", energy, "[V2] of all sensors")
@@ -372,7 +330,7 @@ class _Assembly(Assembly):
             "chosen_middle", ca.if_else(up < upper, up, upper), "[m] also at the ends of the board"
         )
 
-    def _weights(self, row: Row, tag: str) -> None:
+    def _weights(self, row: Group, tag: str) -> None:
         """Weight of each sensor, w^2 (3 - 2 w): 1 well under the array, 0 beyond, smooth."""
         made, found = self.made, self.found
         ramp = RAMP * found.wavelength
@@ -397,7 +355,7 @@ class _Assembly(Assembly):
         `before`: the tag of the solution whose harmonics are taken off, `turns`: its rotations.
         """
         found, made, places, logs = self.found, self.made, {}, {}
-        for k, (row, name) in enumerate(zip(found.rows, self.names, strict=True)):
+        for k, (row, name) in enumerate(zip(found.groups, self.names, strict=True)):
             turn = turns[found.tilt_of(row)] if turns else None
             u = self._vector(row, name, tag, before, turn)
             log = wave_steps.logarithm_steps(made, self.waves[k], u, f"_{name}{tag}")
@@ -415,7 +373,7 @@ class _Assembly(Assembly):
         up = made.step(f"above_{column}{tag}", ca.if_else(turn < most, turn, most))
         return made.step(f"taken_{column}{tag}", ca.if_else(up > -most, up, -most))
 
-    def _vector(self, row: Row, name: str, tag: str, before: str | None, turn: ca.SX | None) -> Pair:
+    def _vector(self, row: Group, name: str, tag: str, before: str | None, turn: ca.SX | None) -> Pair:
         made, sensors = self.made, self._channels(row)
         field = [made.symbols[f"field_{s}"] for s in sensors]
         cos, sin, weight = ([made.symbols[f"{n}_{s}"] for s in sensors] for n in ("cos", "sin", "weight"))
@@ -451,7 +409,7 @@ class _Assembly(Assembly):
         re, im = product("cos_seen", wc, field, tag), product("sin_seen", ws, field, tag)
         return self._clamped((ss * re - cs * im, cc * im - cs * re), per, f"{name}{tag}")
 
-    def _per_cover(self, row: Row, name: str, normal: Sequence[ca.SX], tag: str) -> ca.SX:
+    def _per_cover(self, row: Group, name: str, normal: Sequence[ca.SX], tag: str) -> ca.SX:
         """One over the determinant of a normal matrix, no less than where the flag is set."""
         made, (cc, cs, ss) = self.made, normal
         cover = made.step(f"cover_{name}{tag}", cc * ss - cs * cs, "[V4] cosine told from sine")
@@ -471,7 +429,7 @@ class _Assembly(Assembly):
         return u[0], u[1]
 
     def _without_harmonics(
-        self, row: Row, name: str, field: Sequence[ca.SX], lifted: Sequence[ca.SX], before: str, tag: str
+        self, row: Group, name: str, field: Sequence[ca.SX], lifted: Sequence[ca.SX], before: str, tag: str
     ) -> list[ca.SX]:
         """Readings without the higher harmonics that an earlier solution says."""
         made, out = self.made, list(field)
@@ -480,7 +438,7 @@ class _Assembly(Assembly):
         known = [{1: v} for v in lifted]
         for n in self.found.harmonics:
             re, im = powers(n)
-            design = row.design(n)
+            design = row.phasor.design(n)
             for k, sensor in enumerate(self._channels(row)):
                 a, b = (
                     made.entry(f"{part}_{n}_{sensor}", design[j, k], "V", f"read by {sensor} of {part} {n}")
@@ -531,7 +489,7 @@ class _Assembly(Assembly):
         made, watched = self.made, []
         last = self.found.harmonics[-1:] if self.found.rounds else ()
         lifted = "lifted_" if self.found.turns else ""
-        for row, name in zip(self.found.rows, self.names, strict=True):
+        for row, name in zip(self.found.groups, self.names, strict=True):
             if len(row.channels) <= UNKNOWNS:
                 continue
             seen = [made.symbols[f"held_{axis}_{name}"] for axis in wave_steps.AXES]
@@ -555,7 +513,7 @@ class _Assembly(Assembly):
         rows = ", ".join(
             f"{n} {counted(len(r.channels), 'reading')} over {1e3 * np.ptp(r.place):.4g} mm, array of "
             f"{1e3 * r.length:.3g} mm"
-            for n, r in zip(self.names, found.rows, strict=True)
+            for n, r in zip(self.names, found.groups, strict=True)
         )
         return (
             f"Rows: {rows}, wavelength {1e3 * found.wavelength:.6g} mm.",
