@@ -409,7 +409,7 @@ class Collected:
     symbols: dict[str, ca.SX] = field(default_factory=dict)
     steps: list[Step] = field(default_factory=list)
     named: set[str] = field(default_factory=set)
-    """Names of the entries."""
+    """Names of entries and steps."""
     graphs: dict[str, Graph] = field(default_factory=dict)
     """Graphs of the steps that were run."""
 
@@ -430,8 +430,10 @@ class Collected:
         return self.add(Whole(name, value))
 
     def add(self, step: Step) -> ca.SX:
-        """Add a step as it is; returns its symbol."""
-        self.steps.append(step)
+        """Add a step, once; returns its symbol."""
+        if step.name not in self.named:
+            self.named.add(step.name)
+            self.steps.append(step)
         return self.symbols.setdefault(step.name, ca.SX.sym(step.name))
 
     def entry(self, name: str, value: float, unit: str, meaning: str, holds: str = "") -> ca.SX:
@@ -446,7 +448,7 @@ class Collected:
         self, name: str, expression: ca.SX, remark: str = "", within: tuple[float, int] | None = None,
         most: ca.SX | float | None = None,
     ) -> ca.SX:  # fmt: skip
-        """Add a step; returns its symbol. `within`, `most`: see `Step`."""
+        """Add a step, once; returns its symbol. `within`, `most`: see `Step`."""
         return self.add(Step(name, expression, remark, within=within, most=most))
 
     def total(self, name: str, terms: Sequence[ca.SX], remark: str = "") -> ca.SX:

@@ -392,8 +392,6 @@ class Assembly:
         """Real and imaginary part of a kind of term of an array, made where first used."""
         made, name = self.made, self.names[k]
         key = f"kind{KINDS.index(kind)}_{name}"
-        if f"{key}_re" in made.symbols:
-            return made.symbols[f"{key}_re"], made.symbols[f"{key}_im"]
         powers = wave_steps.Powers(made, *vectors[k], f"_of_{name}")
         if kind == "4":
             re, im = powers(4)
@@ -408,35 +406,26 @@ class Assembly:
 
     def _clamped_size(self, name: str) -> ca.SX:
         """The square of a phasor, no less than where the flag is set."""
-        made = self.made
-        if f"held_size_{name}" in made.symbols:
-            return made.symbols[f"held_size_{name}"]
-        value = min(w.least for w in self.waves) ** 2
-        size, least = (
-            made.symbols[f"size_{name}"],
-            made.entry("least_size", value, "1", "least of a square", "sign"),
-        )
+        made, value = self.made, min(w.least for w in self.waves) ** 2
+        size = made.symbols[f"size_{name}"]
+        least = made.entry("least_size", value, "1", "least of a square", "sign")
         return made.step(f"held_size_{name}", ca.if_else(size > least, size, least))
 
     def _product(
         self, value: ca.SX, kind: str, side: int, turns: tuple[int, ...], k: int, rotations: dict[int, ca.SX]
     ) -> ca.SX:
         """A kind times rotations: products of rotations once for all, of a kind once for its array."""
-        made = self.made
         if not turns:
             return value
         turning = self._monomial("turns", tuple(turns), rotations)
         name = f"kind{KINDS.index(kind)}_{self.names[k]}_{'im' if side else 're'}_{''.join(map(str, turns))}"
-        return made.symbols[name] if name in made.symbols else made.step(name, value * turning)
+        return self.made.step(name, value * turning)
 
     def _monomial(self, name: str, numbers: tuple[int, ...], of: dict[int, ca.SX]) -> ca.SX:
         if len(numbers) == 1:
             return of[numbers[0]]
-        key = f"{name}_{''.join(map(str, numbers))}"
-        if key not in self.made.symbols:
-            before = self._monomial(name, numbers[:-1], of)
-            self.made.step(key, before * of[numbers[-1]])
-        return self.made.symbols[key]
+        before = self._monomial(name, numbers[:-1], of)
+        return self.made.step(f"{name}_{''.join(map(str, numbers))}", before * of[numbers[-1]])
 
     def pose(self, seen: Sequence[ca.SX], off: dict[str, ca.SX]) -> list[ca.SX]:
         """Add the pose from the middle of the box, linear in places and heights without what tilt adds."""

@@ -86,7 +86,7 @@ class _Assembly(Collected):
         rows, own = self._design()
         scale = np.array([inverse[i, k] for k, i in enumerate(own)])
         spare = self._spare(inverse * eta, scale * eta, self.weight**-0.5 / np.abs(eta))
-        monomials = _Monomials(self.symbols, self.steps)
+        monomials = _Monomials(self)
         margins = self._gains(1 / eta / scale, 1 / scale, own, monomials)
         self._shares(own, monomials)
         for i, column in enumerate(model.pose):
@@ -218,21 +218,21 @@ class _Assembly(Collected):
             self._contradiction(spare, sensed)
             self._product(rows, sensed, "")
             return ()
-        before = list(self.steps)
+        before, named = list(self.steps), set(self.named)
         count = self.taken.iterations(self.p, self.weight)
         source: dict[str, ca.SX] = {}
         for n in range(count + 1):
             sensed = self._seen()
             if n:
-                sensed = self._sensed(bends, _Monomials(self.symbols, self.steps, source, f"_{n}"), f"_{n}")
+                sensed = self._sensed(bends, _Monomials(self, source, f"_{n}"), f"_{n}")
             if n == count:
                 self._contradiction(spare, sensed)
             made = self._product(rows, sensed, f"_{n + 1}" if n < count else "")
             source = dict(zip(model.pose, made, strict=True))
             if self.clamped and n < count:
                 source = {c: self._within(c, v, f"_{n + 1}") for c, v in source.items()}
-        every, self.steps = self.steps, before
-        known = _Monomials(self.symbols, self.steps, {c: self.symbols[c] for c in model.pose}, "_known")
+        every, self.steps, self.named = self.steps, before, named
+        known = _Monomials(self, {c: self.symbols[c] for c in model.pose}, "_known")
         self._product(rows, self._sensed(bends, known, "_known"), "_seen", zero=False)
         at_pose, self.steps = tuple(self.steps), every
         return at_pose
@@ -280,21 +280,17 @@ class _Term:
 class _Monomials:
     """Products of columns: one step each, made where first used; `pose` stands in for the pose columns."""
 
-    symbols: dict[str, ca.SX]
-    steps: list[Step]
+    made: Collected
     pose: Mapping[str, ca.SX] = field(default_factory=dict)
     tag: str = ""
 
     def __call__(self, names: Sequence[str]) -> ca.SX:
-        column = {name: self.pose.get(name, self.symbols[name]) for name in names}
+        column = {name: self.pose.get(name, self.made.symbols[name]) for name in names}
         product = column[names[0]]
         for k in range(1, len(names)):
             tag = self.tag if any(name in self.pose for name in names[: k + 1]) else ""
             key = "_".join(short(c) for c in names[: k + 1]) + tag
-            if key not in {step.name for step in self.steps}:
-                self.steps.append(Step(key, product * column[names[k]]))
-                self.symbols.setdefault(key, ca.SX.sym(key))
-            product = self.symbols[key]
+            product = self.made.step(key, product * column[names[k]])
         return product
 
 

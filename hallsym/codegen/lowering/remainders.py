@@ -153,9 +153,7 @@ class _Left:
         value = self.powers(n)[part]
         for k in range(len(turns)):  # products of a power and rotations, each made once
             name = f"power_{n}_{'im' if part else 're'}_{''.join(map(str, turns[: k + 1]))}{self.wave.tag}"
-            if name not in self.made.symbols:
-                self.made.step(name, value * self.tilts[turns[k]])
-            value = self.made.symbols[name]
+            value = self.made.step(name, value * self.tilts[turns[k]])
         return value
 
 

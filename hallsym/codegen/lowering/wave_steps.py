@@ -238,20 +238,17 @@ class Powers:
 
     def __call__(self, n: int) -> Pair:
         """Return real and imaginary part of the n-th power."""
-        names = f"real_{n}{self.tag}", f"imaginary_{n}{self.tag}"
-        if n not in self.known and names[1] in self.made.symbols:  # made before
-            self.known[n] = self.made.symbols[names[0]], self.made.symbols[names[1]]
-        elif n not in self.known and n == FIFTH and self.fifth_alone:
-            self.known[n] = self._fifth()
-        elif n not in self.known and n % 2:
-            self.known[n] = _times(self.made, self(n - 1), self(1), f"_{n}{self.tag}", (1.0, n))
-        elif n not in self.known:
-            a, b = self(n // 2)
-            real = self.made.step(f"real_{n}{self.tag}", a * a - b * b, within=(1.0, n))
-            half = self.made.step(f"half_{n}{self.tag}", a * b, within=(0.5, n))
-            imaginary = self.made.step(f"imaginary_{n}{self.tag}", half + half, within=(1.0, n))
-            self.known[n] = real, imaginary
-        return self.known[n]
+        made, tag = self.made, self.tag
+        if n in self.known:
+            return self.known[n]
+        if n == FIFTH and self.fifth_alone:
+            return self._fifth()
+        if n % 2:
+            return _times(made, self(n - 1), self(1), f"_{n}{tag}", (1.0, n))
+        a, b = self(n // 2)
+        real = made.step(f"real_{n}{tag}", a * a - b * b, within=(1.0, n))
+        half = made.step(f"half_{n}{tag}", a * b, within=(0.5, n))
+        return real, made.step(f"imaginary_{n}{tag}", half + half, within=(1.0, n))
 
     def _fifth(self) -> Pair:
         """cos 5 x = cos x (4 y^2 - 2 y - 1), sin 5 x = sin x (4 y^2 + 2 y - 1), y = cos 2 x: no fourth power.
