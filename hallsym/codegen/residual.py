@@ -96,6 +96,26 @@ def summed(made: Collected, watched: Sequence[Watched]) -> Redundancy:
     return Redundancy(tuple(watched))
 
 
+def left_names(rows: np.ndarray, names: Sequence[str]) -> list[str]:
+    """Return the names of what is left of readings: of all where there is one row, else of each."""
+    return ["left_of_all"] if len(rows) == 1 else [f"left_{n}" for n in names[: len(rows)]]
+
+
+def contradictions(
+    made: Collected, rows: np.ndarray, readings: Mapping[str, ca.SX], remark: str
+) -> Redundancy | None:
+    """Add rows (1 or n, n) of readings by name, which are 0 where these agree; None without rows."""
+    watched, every = [], tuple(range(len(readings)))
+    for k, (name, row) in enumerate(zip(left_names(rows, list(readings)), rows, strict=True)):
+        terms = [
+            made.entry(f"{name}_{own}", share, "1", f"share of {own} in what is left") * value
+            for (own, value), share in zip(readings.items(), row, strict=True)
+        ]
+        made.total(name, terms, remark)
+        watched.append(Watched(name, every if len(rows) == 1 else (k,)))
+    return summed(made, watched) if watched else None
+
+
 def drawn_of(model: Model, p: np.ndarray, box: Box) -> Callable[[np.random.Generator, int], np.ndarray]:
     """Return random inputs (n_inputs, s) of poses and states within a box."""
     columns = (*model.pose, *model.state)

@@ -77,11 +77,6 @@ def decoupler(
     return replace(made, integers=lambda found, **options: program(found, curve, WEAK, **options))
 
 
-def _spare_names(channels: Sequence[str]) -> list[str]:
-    """Return the names of what is left of three readings, or of each of more."""
-    return ["left_of_all"] if len(channels) == 3 else [f"left_{short(c)}" for c in channels]
-
-
 @dataclass(eq=False)
 class _Assembly(Collected):
     curve: Curve
@@ -148,26 +143,13 @@ class _Assembly(Collected):
         about = "square of the least share of the calibrated amplitude"
         self.entry("least_field", WEAK**2, "1", about, "sign")
         self.step("field", x * x + y * y, "[1] square of the amplitude, 1 as calibrated")
-        self.redundancy = residual.summed(self, self._watched(off))
-
-    def _watched(self, off: list[ca.SX]) -> list[Watched]:
-        """Add what is left of readings: beside the circle of two, off the plane of the ellipse of more."""
-        channels = self.curve.model.channels
-        every = tuple(range(len(channels)))
-        if len(off) == 2:
-            self.step("beside", self.symbols["field"] - 1.0, "[1] of the circle that both voltages lie on")
-            return [Watched("beside", every)]
-        out = []
-        for k, (name, row) in enumerate(zip(_spare_names(channels), self.curve.spare, strict=True)):
-            shares = [
-                self.entry(f"{name}_{short(c)}", share, "1", f"share of {c} in what is off the plane")
-                for c, share in zip(channels, row, strict=True)
-            ]
-            self.total(
-                name, [s * o for s, o in zip(shares, off, strict=True)], "off the plane of the ellipse"
-            )
-            out.append(Watched(name, every if len(self.curve.spare) == 1 else (k,)))
-        return out
+        if len(off) > 2:
+            named = dict(zip(map(short, self.curve.model.channels), off, strict=True))
+            about = "off the plane of the ellipse"
+            self.redundancy = residual.contradictions(self, self.curve.spare, named, about)
+            return
+        self.step("beside", self.symbols["field"] - 1.0, "[1] of the circle that both voltages lie on")
+        self.redundancy = residual.summed(self, [Watched("beside", (0, 1))])
 
     def _arctangent(self) -> ca.SX:
         x, y = self.symbols["x"], self.symbols["y"]
@@ -619,8 +601,9 @@ class _Turns(Compiler):
                 self._line("one", field.text, i=field.e), field.e, 1 - field.high, 1 - field.low, field.error
             )
             return self._least(FAULT, residual.LEAST, self._less(beside))
-        names, e = _spare_names(self.d.model.channels), self._exponent(-1.0, 1.0)
-        left = [self._row(name, row, off, e) for name, row in zip(names, self.curve.spare, strict=True)]
+        spare, e = self.curve.spare, self._exponent(-1.0, 1.0)
+        names = residual.left_names(spare, list(map(short, self.d.model.channels)))
+        left = [self._row(name, row, off, e) for name, row in zip(names, spare, strict=True)]
         if len(left) == 1:
             return self._least(FAULT, residual.LEAST, self._less(left[0]))
         return self._least(FAULT, residual.LEAST, self._agreement(left))

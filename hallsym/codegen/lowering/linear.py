@@ -8,11 +8,14 @@ the reading m gives
 which for small angles (h = 0) is Eq. (31) of Chen et al., doi:10.3390/s16060872, with its zero
 deviations in `zero` = -D delta'. Where h depends on the pose the last line is iterated. One entry of D per
 probe is folded into its gain, phi_k / D_ik, so that column k of D holds a 1: one product and one rounding
-less.
+less. Gain, displacement and offset are polynomials of the columns, by differentiation, whose coefficients are
+expressions of the parameters.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from math import factorial, prod
 
 import casadi as ca
 import numpy as np
@@ -20,23 +23,340 @@ import numpy as np
 from hallsym.codegen import residual
 from hallsym.codegen.accepted import any_accepted
 from hallsym.codegen.decoupler import (
+    ENOUGH,
     Box,
     Collected,
     Decoupler,
     Margin,
     Redundancy,
     Step,
-    Watched,
     short,
     unit,
 )
-from hallsym.codegen.lowering.polynomials import Polynomial, PolynomialModel, Row
+from hallsym.codegen.intervals import Enclosure, enclose
 from hallsym.errors import InputError
 from hallsym.model import Model
+from hallsym.model.arrays import on_arrays
 
 CLAMPED = 16.0
 """Times the box from which an iteration starts at most, of a model whose iterations could grow without end:
 far more than any readings within their limits make."""
+
+
+MOST_TERMS = 200
+MOST_DEGREE = 8
+NEGLIGIBLE = 1e-13
+"""Size [m, rad, 1] below which a term of a Taylor series is left out."""
+
+Row = tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Polynomial:
+    """Terms of one scalar: exponents over `variables` -> coefficient, an SX of the parameters."""
+
+    variables: tuple[str, ...]
+    terms: Mapping[Row, ca.SX]
+
+    @property
+    def constant(self) -> ca.SX:
+        """The term that no variable enters."""
+        return self.terms.get((0,) * len(self.variables), ca.SX(0))
+
+    @property
+    def rest(self) -> list[Row]:
+        """Exponents of the other terms, the highest degree, so the smallest, first."""
+        return sorted((row for row in self.terms if sum(row)), key=lambda row: (-sum(row), row))
+
+    @property
+    def rows(self) -> list[Row]:
+        """Exponents of all terms, the constant one last."""
+        return [*self.rest, *([] if self.constant.is_zero() else [(0,) * len(self.variables)])]
+
+    def label(self, row: Row) -> str:
+        """Name of a monomial, such as `z_m*z_m`."""
+        return "*".join(name for name, power in zip(self.variables, row, strict=True) for _ in range(power))
+
+    def of(self, symbols: ca.SX) -> ca.SX:
+        """Return the polynomial of `symbols` (n_variables,)."""
+        total = ca.SX(0)
+        for row, term in self.terms.items():
+            for v, power in enumerate(row):
+                for _ in range(power):
+                    term = term * symbols[v]
+            total = total + term
+        return total
+
+
+def polynomial(expression: ca.SX, symbols: ca.SX, variables: Sequence[str], what: str) -> Polynomial:
+    """Return the terms of a scalar `expression` of `symbols` (v,), named `variables`.
+
+    Raises `InputError` where there is no end to them; whether they reproduce it is for the caller to check.
+    """
+    origin = ca.SX.zeros(symbols.numel())
+    level: dict[Row, ca.SX] = {(0,) * len(variables): expression}
+    terms: dict[Row, ca.SX] = {}
+    while level:
+        higher: dict[Row, ca.SX] = {}
+        for row, derivative in level.items():
+            value = ca.substitute(derivative, symbols, origin) / prod(map(factorial, row))
+            if not value.is_zero():
+                terms[row] = value
+            slopes = ca.jacobian(derivative, symbols)
+            last = max((v for v, power in enumerate(row) if power), default=0)
+            for v in range(last, len(variables)):
+                if slopes[:, v].nnz() and not ca.SX(slopes[:, v]).is_zero():
+                    higher[tuple(k + (i == v) for i, k in enumerate(row))] = slopes[:, v]
+        level = higher
+        if len(terms) > MOST_TERMS or any(sum(row) > MOST_DEGREE for row in level):
+            raise InputError(
+                f"C is generated for polynomials of the pose and the state only; {what} is none. Give a "
+                "quantity of one column that is not polynomial, such as sin Rz, through Signals.derive."
+            )
+    return Polynomial(tuple(variables), terms)
+
+
+def without_derived(model: Model, expression: ca.SX, reach: Mapping[str, float]) -> ca.SX:
+    """Return `expression` with each derived quantity, such as sin Rz, as its Taylor series.
+
+    `reach`: largest magnitude of each column. No libm at run time: the series ends where its terms do not
+    count any more.
+    """
+    s = model.symbols
+    columns = dict(zip((*model.pose, *model.state), ca.vertsplit(ca.vertcat(s.pose, s.state)), strict=True))
+    for k in range(s.derived.numel()):
+        series = _taylor(s.derived_as[k], columns, reach, str(s.derived[k]))
+        expression = ca.substitute(expression, s.derived[k], series)
+    return expression
+
+
+def _taylor(expression: ca.SX, columns: Mapping[str, ca.SX], reach: Mapping[str, float], name: str) -> ca.SX:
+    of = [column for column, symbol in columns.items() if ca.depends_on(expression, symbol)]
+    if len(of) != 1:
+        raise InputError(
+            f"C is generated for derived quantities of one column; {name!r} depends on {len(of)} columns."
+        )
+    symbol, most = columns[of[0]], reach[of[0]]
+    series, derivative, small = ca.SX(0), expression, 0
+    for n in range(2 * MOST_DEGREE):
+        factor = float(ca.evalf(ca.substitute(derivative, symbol, 0))) / factorial(n)
+        if not np.isfinite(factor):
+            break
+        small = small + 1 if abs(factor) * most**n < NEGLIGIBLE else 0
+        if small == 3:
+            return series
+        if factor and not small:
+            series = series + factor * symbol**n
+        derivative = ca.jacobian(derivative, symbol)
+    raise InputError(f"Derived quantity {name!r} has no short Taylor series over {of[0]} within +-{most:g}.")
+
+
+MOST_ITERATIONS = 16
+"""Rounds of the decoder, each of which takes the bend off by its share of the reading: of three probes a
+square of 2 % of the range takes 6, 5 % 9, 9 % 15; from 10 % on intervals do not bound the rounds."""
+
+
+@dataclass(frozen=True, eq=False)
+class PolynomialModel:
+    """The polynomials of one model over one box; `p` of its methods is a parameter vector."""
+
+    model: Model
+    box: Box
+
+    # -- polynomials -------------------------------------------------------------------------------------
+
+    @cached_property
+    def gain(self) -> list[Polynomial]:
+        """eta_k phi_k of each channel; does not depend on the pose."""
+        n = len(self.model.pose)
+        polys = self._polynomials(self.model.symbols.gain, "gain")
+        if any(sum(row[:n]) for poly in polys for row in poly.terms):
+            raise InputError(
+                f"C is generated for gains that do not depend on the pose; that of {self.model.name} does."
+            )
+        return polys
+
+    @cached_property
+    def displacement(self) -> list[Polynomial]:
+        """What each channel senses, without zero deviations."""
+        return self._polynomials(self.model.symbols.displacement, "displacement")
+
+    @cached_property
+    def bend(self) -> list[Polynomial]:
+        """h: the displacement without its terms linear in the pose, and without terms that count nowhere."""
+        n = len(self.model.pose)
+        kept = []
+        for poly in self._pruned(self.displacement):
+            terms = {row: c for row, c in poly.terms.items() if sum(row) != 1 or not sum(row[:n])}
+            kept.append(Polynomial(poly.variables, terms))
+        return kept
+
+    @cached_property
+    def offset(self) -> list[Polynomial]:
+        """What the reading has beyond gain * displacement; does not depend on the pose."""
+        s, n = self.model.symbols, len(self.model.pose)
+        kept = []
+        polys = self._polynomials(s.reading - s.gain * s.displacement, "offset")
+        rng = np.random.default_rng(0)
+        nominal = self.model.nominal
+        trials = [nominal + share * rng.standard_normal(len(nominal)) for share in (0.0, 1.0, 1.0, 1.0)]
+        for poly, most in zip(polys, self._largest(polys, trials), strict=True):
+            # a difference of equal terms is zero for all parameters
+            real = {row: c for row, c in poly.terms.items() if most[row] > 1e-9}
+            if any(sum(row[:n]) for row in real):
+                raise InputError(
+                    "C is generated for readings gain * displacement + offset with an offset that does not "
+                    f"depend on the pose; those of {self.model.name} are not."
+                )
+            kept.append(Polynomial(poly.variables, real))
+        return kept
+
+    @property
+    def curved(self) -> bool:
+        """Whether the displacement is not linear in the pose."""
+        n = len(self.model.pose)
+        return any(sum(row[:n]) for poly in self.bend for row in poly.terms)
+
+    def _polynomials(self, expression: ca.SX, what: str) -> list[Polynomial]:
+        s, model = self.model.symbols, self.model
+        plain = ca.substitute(expression, s.offsets, ca.SX.zeros(s.offsets.numel()))
+        plain = without_derived(model, plain, self.box.reach())
+        symbols, names = ca.vertcat(s.pose, s.state), (*model.pose, *model.state)
+        return [
+            polynomial(plain[k], symbols, names, f"the {what} of {model.name}") for k in range(plain.numel())
+        ]
+
+    def _pruned(self, polys: Sequence[Polynomial]) -> list[Polynomial]:
+        """Leave out terms of higher degree that count nowhere in the bounds of the parameters."""
+        reach = self.box.reach()
+        lower, upper = np.nan_to_num(self.model.bounds, posinf=1.0, neginf=-1.0)
+        trials = [self.model.nominal, *np.random.default_rng(0).uniform(lower, upper, (8, len(lower)))]
+        kept = []
+        for poly, most in zip(polys, self._largest(polys, trials), strict=True):
+            sizes = [reach[c] for c in poly.variables]
+            size = {
+                row: 1.0 if sum(row) < 2 else most[row] * np.prod(np.power(sizes, row)) for row in poly.terms
+            }
+            terms = {row: c for row, c in poly.terms.items() if size[row] > NEGLIGIBLE}
+            kept.append(Polynomial(poly.variables, terms))
+        return kept
+
+    def _largest(self, polys: Sequence[Polynomial], trials: Sequence[np.ndarray]) -> list[dict[Row, float]]:
+        found = [self.numbers(polys, p) for p in trials]
+        return [
+            {row: max(abs(trial[k][row]) for trial in found) for row in poly.terms}
+            for k, poly in enumerate(polys)
+        ]
+
+    # -- numbers -----------------------------------------------------------------------------------------
+
+    def numbers(self, polys: Sequence[Polynomial], p: np.ndarray) -> list[dict[Row, float]]:
+        """Return the coefficients at one set of parameters."""
+        flat = [c for poly in polys for c in poly.terms.values()]
+        f = ca.Function("numbers", [self.model.symbols.parameters], [ca.densify(ca.vertcat(*flat, 0))])
+        values = iter(np.asarray(f(p)).ravel().tolist())
+        return [{row: next(values) for row in poly.terms} for poly in polys]
+
+    def eta(self, p: np.ndarray) -> np.ndarray:
+        """Return the gains at rest, (n_channels,)."""
+        rest = (0,) * len(self.gain[0].variables)
+        eta = np.array([terms.get(rest, 0.0) for terms in self.numbers(self.gain, p)])
+        for channel, value in zip(self.model.channels, eta, strict=True):
+            if not abs(value) > 1e-6:
+                raise InputError(
+                    f"The gain of {channel} at rest is {value:g}: nothing can be decoded from it."
+                )
+        return eta
+
+    def matrix(self, p: np.ndarray) -> np.ndarray:
+        """Return M, the part of the displacement that is linear in the pose, (n_channels, n_pose)."""
+        rows = [tuple(int(v == i) for v in range(len(self._variables))) for i in range(len(self.model.pose))]
+        return np.array(
+            [[terms.get(row, 0.0) for row in rows] for terms in self.numbers(self.displacement, p)]
+        )
+
+    def inverse(self, p: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """Return D = (M^T W M)^-1 M^T W / eta, W = weight eta^2: the least-squares inverse at rest."""
+        matrix, eta = self.matrix(p), self.eta(p)
+        if not matrix.size or not matrix.any(axis=0).all():
+            raise InputError(
+                f"C for model {self.model.name} of family {self.model.family} cannot be generated: its "
+                "readings are not a gain times a displacement that is linear in the pose."
+            )
+        scaled = matrix.T * (weight * eta**2 / np.max(weight * eta**2))
+        return np.linalg.solve(scaled @ matrix, scaled) / eta
+
+    def readings(self, p: np.ndarray) -> dict[str, tuple[float, float]]:
+        """Return the ends of the readings over the box of pose and state, symmetric where they nearly are."""
+        model, s = self.model, self.model.symbols
+        ends = {}
+        symbol = [ca.SX.sym(c) for c in self._variables]
+        variables = {c: Enclosure(*self.box.ends[c]) for c in self._variables}
+        for k, channel in enumerate(model.channels):
+            gain, shift, offset = (
+                poly[k].of(ca.vertcat(*symbol)) for poly in (self.gain, self.displacement, self.offset)
+            )
+            value = ca.substitute(gain * shift + offset, s.parameters, ca.DM(p))
+            (found,) = enclose([value], variables, None)
+            zero = max((abs(z.upper) for z in model.offsets if np.isfinite(z.upper)), default=0.0)
+            low, high = float(f"{found.low - zero:.3g}"), float(f"{found.high + zero:.3g}")
+            most = max(abs(low), abs(high))
+            ends[channel] = (-most, most) if min(-low, high) > 0.5 * most else (low, high)
+        return ends
+
+    def iterations(self, p: np.ndarray, weight: np.ndarray) -> int:
+        """Return how often h must be taken off until the pose stands still, wherever the inputs are."""
+        model, s = self.model, self.model.symbols
+        h = ca.vertcat(*(poly.of(ca.vertcat(s.pose, s.state)) for poly in self.bend))
+        run = on_arrays(ca.Function("h", [s.parameters, s.pose, s.state], [ca.densify(h)]))
+        eta = self.eta(p)
+        inverse = self.inverse(p, weight) * eta
+        ends = {**self.readings(p), **self.box.ends}
+        low, high = np.array([ends[c] for c in (*model.channels, *model.state)]).T[:, :, None]
+        rng = np.random.default_rng(0)
+        share = np.hstack([rng.choice([0.0, 1.0], (len(low), 256)), rng.random((len(low), 256))])
+        inputs = low + (high - low) * share
+        readings, state = inputs[: len(eta)], list(inputs[len(eta) :])
+        u = readings / on_arrays(model.gain)(p, state)[0]
+        pose = inverse @ u
+        for n in range(1, MOST_ITERATIONS + 1):
+            with np.errstate(over="ignore", invalid="ignore"):  # what does not settle grows without end
+                new = inverse @ (u - run(p, list(pose), state)[0])
+                change, pose = np.abs(new - pose).max(), new
+            if not np.isfinite(change):
+                break
+            if change < ENOUGH:
+                return n - 1 or 1
+        raise InputError(
+            f"Iterations of {model.name} do not settle over the box within {MOST_ITERATIONS} rounds; "
+            "give a smaller one with --range."
+        )
+
+    def exact(self, p: np.ndarray, weight: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """Return `inputs (n_inputs, s) -> pose (n_pose, s)` by the model's own decoded form, offsets 0.
+
+        The weight of a reading is held in units of its displacement, as the table holds it.
+        """
+        model, eta = self.model, self.eta(p)
+        gain, run = on_arrays(model.gain), on_arrays(model.decoded)
+        n = len(model.channels)
+
+        def exact(inputs: np.ndarray) -> np.ndarray:
+            readings, state = list(inputs[:n]), list(inputs[n:])
+            phi = gain(p, state)[0] / eta[:, None]
+            return run(p, np.zeros(len(model.offsets)), readings, state, list(weight[:, None] / phi**2))[0]
+
+        return exact
+
+    @property
+    def _variables(self) -> tuple[str, ...]:
+        return (*self.model.pose, *self.model.state)
+
+
+# -- the steps -----------------------------------------------------------------------------------------------
+
+
+LEFT = "[m] that the pose leaves"
 
 
 def per(base: str, label: str) -> str:
@@ -129,20 +449,6 @@ class _Assembly(Collected):
             return np.asarray(left * sigma.max() / scale)
         return np.asarray(left * (sigma.max() / sigma)[:, None] / scale)
 
-    def _contradiction(self, spare: np.ndarray, sensed: Mapping[str, ca.SX]) -> None:
-        """Add what is left of the probes, and the sum of its squares."""
-        channels, watched = self.taken.model.channels, []
-        for k, row in enumerate(spare):
-            name, terms = "left_of_all" if len(spare) == 1 else f"left_{short(channels[k])}", []
-            for (label, value), share, channel in zip(sensed.items(), row, channels, strict=True):
-                about = f"share of {channel} in what {'they contradict' if len(spare) == 1 else 'is left'}"
-                terms.append(self.entry(f"{name}_{label}", share, "1", about) * value)
-            self.step(name, _total(terms), "[m] that the pose leaves")
-            readings = tuple(range(len(channels))) if len(spare) == 1 else (k,)
-            watched.append(Watched(name, readings))
-        if watched:
-            self.redundancy = residual.summed(self, watched)
-
     def _design(self) -> tuple[list[list[int]], list[int]]:
         """Return the channels of each pose coordinate, least influence first, and each channel's own row.
 
@@ -215,7 +521,7 @@ class _Assembly(Collected):
         model = self.taken.model
         if not self.taken.curved:
             sensed = self._sensed(bends, monomials, "") if any(bends) else self._seen()
-            self._contradiction(spare, sensed)
+            self.redundancy = residual.contradictions(self, spare, sensed, LEFT)
             self._product(rows, sensed, "")
             return ()
         before, named = list(self.steps), set(self.named)
@@ -226,7 +532,7 @@ class _Assembly(Collected):
             if n:
                 sensed = self._sensed(bends, _Monomials(self, source, f"_{n}"), f"_{n}")
             if n == count:
-                self._contradiction(spare, sensed)
+                self.redundancy = residual.contradictions(self, spare, sensed, LEFT)
             made = self._product(rows, sensed, f"_{n + 1}" if n < count else "")
             source = dict(zip(model.pose, made, strict=True))
             if self.clamped and n < count:
