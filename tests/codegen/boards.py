@@ -1,16 +1,17 @@
-"""Calibrations of magnet arrays over sensors, to generate C from.
+"""Calibrations of magnet arrays over sensors, to generate C from, by hallsym's own field.
 
-`planar`: four arrays over fixed patches of sums, by the field's own equations (`waves.planar`). `grid`: over
-many single sensors. `rows`: over rows of sums that are longer than they are. `travel`: one array along a
-longer board. The last three by hallsym's own finite field.
+`planar`: four arrays over fixed patches of sums. `grid`: over many single sensors. `rows`: over rows of sums
+that are longer than they are. `travel`: one array along a longer board.
 """
 
 from functools import cache
 
+import numpy as np
 from msgspec import structs
-from waves import LENGTH, calibrated, calibrated_planar
+from waves import LENGTH, THIRD, calibrated
 
 import hallsym
+from hallsym.families import effects
 from hallsym.families.halbach import planar as movers
 from hallsym.families.halbach.effects import ends
 from hallsym.families.halbach.effects.planar_ends import array_edges
@@ -35,18 +36,41 @@ def level():
     return over(calibrated(movers.halbach_planar(), values), LEVEL["gaps"], 0.04, LEVEL["travel"], 0.003)
 
 
+def spot(array, along, across):
+    """Place of a sensor so far along an array and across it from its centre [m]."""
+    moved = (along, across) if array.axis == 0 else (across, along)
+    return tuple(float(c + m) for c, m in zip(array.centre, moved, strict=True))
+
+
+def spread(count, pitch=THIRD):
+    """Places of so many at a pitch, about 0."""
+    return (np.arange(count) - (count - 1) / 2) * pitch
+
+
+def planar(count=6, gaps=(0.0045, 0.0085), travel=0.0145, tilt=0.01, across=6):
+    """Four arrays over `count` sums of `across` sensors side by side each: gains of 1 %, offsets of 2 mV."""
+    found = arrays(movers.pinwheel())
+    sums = [
+        Sensor(f"{a.name.lower()}_{k}_v", tuple(spot(a, at, side) for side in spread(across)), a.name)
+        for a in found.values() for k, at in enumerate(spread(count))
+    ]  # fmt: skip
+    model = movers.halbach_planar((*sums, *found.values()))
+    for name in ("gain_mismatch", "offset_error"):
+        model = effects(model.family)[name](model)
+    rng, values = np.random.default_rng(4), {"a1": 1.25 / across, "a5": -0.0048 / across}
+    for p in model.parameters[7:]:
+        values[p.name] = p.nominal + (0.01 if p.unit == "1" else 2e-3) * rng.standard_normal()
+    return over(calibrated(model, values, gaps=gaps), gaps, travel, travel, tilt)
+
+
 def grid(along, across):
     """Single sensors along and across each of the four arrays."""
-    found, made_ = arrays(movers.pinwheel()), []
-    for array in found.values():
-        own, other = array.axis, 1 - array.axis
-        for i in range(along * across):
-            at = list(array.centre)
-            at[own] += (i // across - (along - 1) / 2) * array.wavelength_m / 3
-            at[other] += (i % across - (across - 1) / 2) * array.wavelength_m / 3
-            made_.append(Sensor(f"hall_{len(made_)}_0_v", ((at[0], at[1]),), array.name))
-    model = movers.halbach_planar((*made_, *found.values()))
-    fit = calibrated(model, {"a1": 0.62, "a5": -6e-4, "rx0": 1e-3}, gaps=(0.0045, 0.0085))
+    found = arrays(movers.pinwheel())
+    spots = [(a, spot(a, i, j)) for a in found.values() for i in spread(along) for j in spread(across)]
+    single = [Sensor(f"hall_{k}_0_v", (at,), a.name) for k, (a, at) in enumerate(spots)]
+    fit = calibrated(
+        movers.halbach_planar((*single, *found.values())), {"a1": 0.62, "a5": -6e-4, "rx0": 1e-3}
+    )
     return over(fit, (0.0045, 0.0085), 0.0125, 0.0125, 0.005)
 
 
@@ -54,13 +78,10 @@ def rows(length=3 * LENGTH, reach=ROWS_REACH):
     """Four arrays of three periods, each over a row of six sums at 20 mm: 100 mm, of which 90 are covered."""
     centres = {"X1": (-0.06, 0.07), "X2": (0.06, -0.07), "Y1": (0.07, 0.06), "Y2": (-0.07, -0.06)}
     found = [Array(n, LENGTH, n[0].lower(), c, length, 0.12, LENGTH / 4) for n, c in centres.items()]
-    sums = []
-    for array in found:
-        for k in range(6):
-            at = [(k - 2.5) * 0.02 * (array.axis == j) + array.centre[j] for j in (0, 1)]
-            side = [(n - 1) * LENGTH / 3 for n in range(3)]
-            places = [(at[0] + s * array.axis, at[1] + s * (1 - array.axis)) for s in side]
-            sums.append(Sensor(f"{array.name.lower()}_{k}_v", tuple(places), array.name))
+    sums = [
+        Sensor(f"{a.name.lower()}_{k}_v", tuple(spot(a, at, side) for side in spread(3)), a.name)
+        for a in found for k, at in enumerate(spread(6, 0.02))
+    ]  # fmt: skip
     values = {"a1": 0.62, "a5": -6e-4, "edges": 1.0, "rx0": 1e-3, "ry0": -2e-3, "rz0": 5e-4, "x0": 1e-3}
     fit = calibrated(array_edges(movers.halbach_planar((*sums, *found))), values, gaps=(0.004, 0.007))
     return over(fit, (0.004, 0.007), reach, reach, 0.005)
@@ -75,10 +96,10 @@ def travel(count=18, reach=REACH):
 
 
 BOARDS = {
-    "closed form of 12 sums": (lambda: calibrated_planar(**LEVEL), 1e-4),
-    "12 sums": (lambda: calibrated_planar(**LEVEL), 5e-6),
-    "24 sums": (lambda: calibrated_planar(**TILTED), 1e-6),
-    "many periods": (lambda: calibrated_planar(**{**LEVEL, "travel": 0.06}), 5e-6),
+    "closed form of 12 sums": (lambda: planar(**LEVEL), 1e-4),
+    "12 sums": (lambda: planar(**LEVEL), 5e-6),
+    "24 sums": (lambda: planar(**TILTED), 1e-6),
+    "many periods": (lambda: planar(**{**LEVEL, "travel": 0.06}), 5e-6),
     "another level": (level, 2e-6),
     "grid of 24": (lambda: grid(6, 1), 2e-5),
     "grid of 48": (lambda: grid(6, 2), 2e-5),

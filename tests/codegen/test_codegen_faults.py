@@ -14,7 +14,7 @@ import pytest
 from firmware import CASES as STAGES
 from firmware import Library, known, made, need, written
 from scipy.stats import norm
-from waves import LENGTH, VALUES, calibrated, calibrated_planar, sums
+from waves import LENGTH, VALUES, calibrated, sums
 
 import hallsym
 from hallsym.codegen import residual
@@ -66,7 +66,7 @@ FITS = {
     "five sums": lambda: calibrated(sums(5), VALUES),
     "three sums": lambda: calibrated(sums(3), VALUES),
     "12 sums, six coordinates": lambda: boards.fit_of("12 sums"),
-    "24 sums, six coordinates": lambda: calibrated_planar(6, (0.0065, 0.0085), 0.0135, 0.003, 3),
+    "24 sums, six coordinates": lambda: boards.planar(6, (0.0065, 0.0085), 0.0135, 0.003, 3),
     "four probes": STAGES["four probes"],
     "two voltages": encoder,
 }

@@ -79,9 +79,8 @@ def ends_and_leaves(model: Model, box: Box, accuracy: float) -> tuple[np.ndarray
 
 def _waves(found: Arrays, aim: float) -> tuple[Wave, ...]:
     """Return the wave of each array over the heights that poses of the box bring it to."""
-    pose = found.poses(np.random.default_rng(2), 2000)
     out = []
-    for group, u in zip(found.groups, found.phasors(found.readings(pose)), strict=True):
+    for group, u in zip(found.groups, found.swept, strict=True):
         heights = group.phasor.pose(u)[1]
         if not np.isfinite(heights).all():
             raise InputError(
@@ -143,8 +142,7 @@ class Assembly:
 
     def _angle(self, first: int, k: int) -> float:
         """Largest turn of two phasors of an axis over the box [rad]."""
-        pose = self.found.poses(np.random.default_rng(3), 2000)
-        u = self.found.phasors(self.found.readings(pose))
+        u = self.found.swept
         return float(np.abs(np.angle(u[k] * u[first].conj())).max()) * 1.05
 
     def series(self, first: int, k: int) -> Odd:
@@ -170,8 +168,7 @@ class Assembly:
         """
         if axis not in self._unwrapped:
             found, first = self.found, self.found.axes[axis][0]
-            phasors = found.phasors(found.readings(found.poses(np.random.default_rng(2), 2000)))
-            far = np.abs(np.angle(phasors[first])).max() < WITHIN * pi
+            far = np.abs(np.angle(found.swept[first])).max() < WITHIN * pi
             far = far and abs(np.angle(found.at_middle[first])) * found.groups[first].phasor.lc < LOST
             self._unwrapped[axis] = bool(far and not self.wide(axis))
         return self._unwrapped[axis]

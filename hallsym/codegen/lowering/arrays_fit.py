@@ -87,6 +87,11 @@ class Arrays:
         return [g.phasor.solved(readings[list(g.channels)]) for g in self.groups]
 
     @cached_property
+    def swept(self) -> list[np.ndarray]:
+        """Phasors (s,) of each array at trial poses."""
+        return self.phasors(self.trials(2, 2000)[1])
+
+    @cached_property
     def at_middle(self) -> np.ndarray:
         """Phasor of each array in the middle of the box (arrays,)."""
         return np.array(self.phasors(self.readings(self.middle[:, None])))[:, 0]

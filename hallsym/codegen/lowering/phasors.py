@@ -13,7 +13,7 @@ fixed point.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import pi
+from math import perm, pi
 
 import casadi as ca
 import numpy as np
@@ -130,17 +130,11 @@ class Phasor:
 
     # -- what the higher harmonics can do within |u| <= r ---------------------------------------------------
 
-    def largest(self, r: float) -> float:
-        """Return a bound of |g(u)|."""
-        return float(sum((abs(a) + abs(b)) * r**n for n, (a, b) in self.parts.items()))
-
-    def slope(self, r: float) -> float:
-        """Return a Lipschitz constant of g."""
-        return float(sum(n * (abs(a) + abs(b)) * r ** (n - 1) for n, (a, b) in self.parts.items()))
-
-    def bend(self, r: float) -> float:
-        """Return a Lipschitz constant of the derivative of g."""
-        return float(sum(n * (n - 1) * (abs(a) + abs(b)) * r ** (n - 2) for n, (a, b) in self.parts.items()))
+    def bound(self, r: float, order: int = 0) -> float:
+        """Return a bound of |g(u)|, or of its derivative of an order."""
+        return float(
+            sum(perm(n, order) * (abs(a) + abs(b)) * r ** (n - order) for n, (a, b) in self.parts.items())
+        )
 
 
 def phasor(

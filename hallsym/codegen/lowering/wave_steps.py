@@ -84,7 +84,7 @@ class Wave:
 
 def _outer(phasor: Phasor, reach: float) -> float:
     """Bound of |u| in every round: the first, u + g(u), is longest; u lies within what the last leaves."""
-    return reach + NEAR * phasor.largest(reach)
+    return reach + NEAR * phasor.bound(reach)
 
 
 def wave_of(phasor: Phasor, ends: tuple[float, float], accuracy: float) -> Wave:
@@ -96,7 +96,7 @@ def wave_of(phasor: Phasor, ends: tuple[float, float], accuracy: float) -> Wave:
     most = max(phasor.size(z) for z in ends)
     reach = most * (1 + ROOM)
     outer = _outer(phasor, reach)
-    if phasor.slope(outer) > CONTRACTING:
+    if phasor.bound(outer, 1) > CONTRACTING:
         raise InputError(
             "The higher harmonics are too strong at the least gap of the box for a wavelength of "
             f"{2e3 * pi * phasor.lc:.3g} mm: their correction does not converge; give fewer heights with "
@@ -137,7 +137,7 @@ def _rounds(phasor: Phasor, r: float, reach: float, share: float) -> tuple[int, 
 
     e, the distance from the fixed point, falls by the slope of g in each.
     """
-    slope, bend, error = phasor.slope(r), phasor.bend(r), NEAR * phasor.largest(reach)
+    slope, bend, error = phasor.bound(r, 1), phasor.bound(r, 2), NEAR * phasor.bound(reach)
     radial = slope * slope * error + bend / 2 * error**2 + _beside_radial(phasor, r, error)
     ways = [(0, False, error), (1, False, slope * error), (1, True, radial)]
     ways += [(k, False, slope**k * error) for k in range(2, MOST_ROUNDS + 1)]
