@@ -155,11 +155,6 @@ def judged(d: Decoupler, sigma: np.ndarray) -> Decoupler:
     )  # fmt: skip
 
 
-def _redundancy(d: Decoupler) -> Redundancy:
-    assert d.redundancy is not None
-    return d.redundancy
-
-
 def _nothing_left_over(d: Decoupler) -> str:
     n, unknowns = len(d.model.channels), counted(len(d.pose), "unknown")
     return (
@@ -198,20 +193,11 @@ class _Judgement:
     def slopes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """By a reading, per standard deviation: pose (n, pose, s), what is left and its factor (n, m, s)."""
         found = []
-        for k in range(self.n):
-            ends = []
-            for sign in (1.0, -1.0):
-                moved = self.inputs.copy()
-                moved[k] += sign * NUDGE * self.sigma[k]
-                ends.append(self._seen(moved))
-            pose = self.d.difference(ends[0][0], ends[1][0])
-            found.append(
-                [
-                    v / (2 * NUDGE)
-                    for v in (pose, *(a - b for a, b in zip(*(e[1:] for e in ends), strict=True)))
-                ]
-            )
-        by_pose, left, factor = (np.array(rows) for rows in zip(*found, strict=True))
+        for k, size in enumerate(NUDGE * self.sigma):
+            move = size * np.eye(len(self.inputs))[:, [k]]
+            up, down = self._seen(self.inputs + move), self._seen(self.inputs - move)
+            found.append((self.d.difference(up[0], down[0]), up[1] - down[1], up[2] - down[2]))
+        by_pose, left, factor = (np.array(rows) / (2 * NUDGE) for rows in zip(*found, strict=True))
         return by_pose, left, factor
 
     @cached_property
@@ -221,21 +207,20 @@ class _Judgement:
         return np.asarray((left * errors).sum(axis=1))
 
     @cached_property
+    def _sizes(self) -> np.ndarray:
+        """Eigenvalues (FORMS, n) of the sum as a quadratic form of the readings at some poses."""
+        _, left, errors = (v[..., :FORMS].transpose(2, 0, 1) for v in self.slopes)
+        return np.asarray(np.linalg.eigvals(left @ errors.transpose(0, 2, 1)).real)
+
+    @property
     def freedom(self) -> int:
         """Degrees of freedom of the sum: the most over the poses."""
-        sizes = [np.linalg.eigvals(m).real for m in self._forms]
-        return max(int((size > MASKED * size.max()).sum()) for size in sizes)
+        return int((self._sizes > MASKED * self._sizes.max(axis=1, keepdims=True)).sum(axis=1).max())
 
-    @cached_property
-    def _forms(self) -> list[np.ndarray]:
-        """The sum as a quadratic form (n, n) of the readings at some poses."""
-        _, left, errors = self.slopes
-        return [left[:, :, s] @ errors[:, :, s].T for s in range(FORMS)]
-
-    @cached_property
+    @property
     def unit(self) -> float:
         """Value [V2] of the sum of squares of one standard deviation that the decode leaves alone."""
-        return float(max(np.linalg.eigvals(m).real.max() for m in self._forms))
+        return float(self._sizes.max())
 
     @cached_property
     def noise(self) -> float:
@@ -397,14 +382,8 @@ class _Judgement:
     def redundancy(self) -> Redundancy:
         """The record of it."""
         d, mended = self.d, bool(self.isolable.any())
-        own = _redundancy(self.d)
-        unseen, without = self.unseen, self.without
-        if mended:
-            without = without + SAFE * self._mended_off()
-        return replace(
-            own, watched=own.watched, mended=mended, unseen=named(d.pose, unseen),
-            without=named(d.pose, without) if mended else {},
-        )  # fmt: skip
+        without = named(d.pose, self.without + SAFE * self._mended_off()) if mended else {}
+        return Redundancy(d.watched, mended, named(d.pose, self.unseen), without)
 
     def _mended_off(self) -> np.ndarray:
         """What is left (pose,) of a pose without noise by decoding it again without each reading."""
