@@ -1,7 +1,7 @@
 """The correction of an encoder: waves or a table, what it leaves, and channels that are clipped.
 
 Independent facts: dense samples lie within enclosed ranges; the model's own readings at a known angle; a
-bound holds at angles that no proof looked at; a clipped voltage says nothing beyond its rail; CRC and NaN.
+bound holds at angles that no proof looked at.
 """
 
 from functools import cache
@@ -108,16 +108,6 @@ def test_what_a_table_leaves_is_bounded_and_nearly_met(case, form):
     assert 0.8 * bound < met <= bound
 
 
-@pytest.mark.slow
-def test_lines_and_cubics_converge_as_they_should():
-    """Errors fall with the second and the fourth power of the distance of entries."""
-    for degree, power in ((1, 4), (3, 16)):
-        near, far = (
-            proved(curve("meng angle"), grid(curve("meng angle"), n, degree, False), 1e-6) for n in (128, 64)
-        )
-        assert far / near == pytest.approx(power, rel=0.3)
-
-
 def test_the_slope_and_bend_of_a_correction_bound_what_it_does():
     phase = np.linspace(-pi, pi, 20_001)
     for found in (grid(curve("clipped"), 256, 3, False), grid(curve("meng angle"), 64, 1, True),
@@ -129,12 +119,6 @@ def test_the_slope_and_bend_of_a_correction_bound_what_it_does():
         assert np.abs(slope).max() <= found.slope
         same = np.abs(np.diff(slope)) <= found.bend * (phase[1] - phase[0]) * (1 + 1e-9) + 1e-12
         assert same.mean() > 0.98  # all but the corners of lines
-
-
-def test_a_coarser_accuracy_takes_fewer_bytes():
-    sizes = [shortest_correction(curve("harmonics volts"), a).bytes for a in (3e-8, 1e-6, 1e-5, 1e-4, 1e-3)]
-    assert sizes == sorted(sizes, reverse=True)
-    assert sizes[-1] < sizes[0] / 3
 
 
 @pytest.mark.parametrize("case", ["meng angle", "harmonics volts"])
@@ -156,22 +140,6 @@ def test_what_is_said_to_be_within_reach_is():
         made("clipped")
     reach = float(str(said.value).partition("entries; ")[2].split()[0])
     assert made("clipped", reach).decoupler.slack <= reach * 1.001
-
-
-@pytest.mark.parametrize("accuracy", [pytest.param(1e-3, marks=SLOW), 5e-3])
-def test_a_clipped_channel_gives_its_angle_back(accuracy):
-    code = made("clipped", accuracy)
-    d, model = code.decoupler, code.decoupler.model
-    angle = np.random.default_rng(5).uniform(-pi, pi, 20_000)
-    readings = on_arrays(model.reading)(fit_of("clipped").values, [], [angle], [])[0]
-    assert np.abs(readings).max() == pytest.approx(0.8)
-    pose, status = code.backend.step(readings.astype(np.float32))
-    off = turned(pose[0].astype(float) - angle).max()
-    assert not status.any()
-    assert 0.3 * accuracy < off <= code.bounds.error["angle_rad"] + d.slack + 2e-7 <= accuracy + 1e-5
-
-
-# -- the C itself --------------------------------------------------------------------------------------------
 
 
 # -- options -------------------------------------------------------------------------------------------------

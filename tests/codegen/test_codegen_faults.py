@@ -314,16 +314,3 @@ def test_a_stated_number_is_one_of_the_arithmetic():
     weakest = 4 * 0.8875 * np.exp(-2 * pi * 0.01 / LENGTH)
     moved = np.abs(judge.slopes[0]).max() / SIGMA
     assert moved == pytest.approx(2 / 9 * LENGTH / (2 * pi) / weakest, rel=0.1)
-
-
-def test_without_a_reading_the_sum_is_that_of_what_is_left_then():
-    """Against the sum itself, over all readings, once one of them is followed by all others."""
-    judge = residual._Judgement(made_of("nine sums").decoupler, np.full(9, SIGMA))
-    pose, left, errors = judge.slopes
-    for k, one in enumerate(judge.d.watched):
-        (i,) = one.readings
-        share = (left[:, k] / left[i, k])[:, None]
-        found, seen = judge._others(k)
-        np.testing.assert_allclose(found, pose - pose[i] * share, rtol=1e-9)
-        direct = ((left - left[i] * share) * (errors - errors[i] * share)).sum(axis=1)
-        np.testing.assert_allclose(seen, direct, atol=1e-12 * judge.seen.max())

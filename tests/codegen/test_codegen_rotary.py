@@ -1,6 +1,6 @@
 """C for encoders: corrected angle from two voltages or from a decoded angle.
 
-Independent facts: the model's own readings at a known angle; numpy's arctangent in double; a gain common to
+Independent facts: the model's own readings at a known angle; a gain common to
 both plates leaves an angle alone; a wrap is a whole turn; the interval [-pi, pi]; a million samples.
 """
 
@@ -84,19 +84,6 @@ def test_a_wrap_moves_by_a_whole_turn_into_half_a_turn(x):
 # -- the angle -----------------------------------------------------------------------------------------------
 
 
-def test_the_ideal_encoder_is_an_arctangent():
-    code = made("ideal", "volts")
-    d = code.decoupler
-    rng = np.random.default_rng(6)
-    v = rng.uniform(-1.3, 1.3, (2, 20_000)).astype(np.float32)
-    pose, status = code.backend.step(v)
-    wanted = np.arctan2(*v.astype(float)) + 2.0
-    clear = status & ~np.uint32(d.fault_bit) == 0
-    assert clear.mean() > 0.5
-    assert (status & d.fault_bit != 0).mean() > 0.9  # voltages of no circle
-    assert turned(pose[0] - wanted)[clear].max() < code.bounds.error["angle_rad"] + d.slack
-
-
 @given(st.floats(0.55, 1.05), st.floats(-pi, pi))
 def test_a_gain_common_to_both_plates_leaves_the_angle_alone(gain, angle):
     code = made("ellipse", "volts")
@@ -129,12 +116,6 @@ def test_the_series_is_as_long_as_it_must_be():
 
     assert waves("ideal", "volts") == waves("ellipse", "volts") == 0  # the linear map does it all
     assert 0 < waves("meng", "angle") < waves("harmonics", "volts") <= 32
-
-
-# -- the C itself --------------------------------------------------------------------------------------------
-
-
-# -- refused -------------------------------------------------------------------------------------------------
 
 
 def test_a_reading_that_the_fit_took_with_another_sign_is_said():

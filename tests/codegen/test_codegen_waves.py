@@ -69,14 +69,6 @@ def test_the_stated_error_of_a_polynomial_holds_and_is_reached(name, end, accura
     assert 0.97 * found.error < off <= found.error <= accuracy
 
 
-def test_a_polynomial_is_as_short_as_its_accuracy():
-    degrees = [shortest("atan", 1.0, 10.0**-n).degree for n in range(3, 8)]
-    assert degrees == sorted(degrees)
-    assert degrees[0] < degrees[-1]
-    assert shortest("artanh", 0.95, 1e-9) is None
-    assert Odd((1.0, 0.5), 1.0, 0.0).at(2.0) == 6.0
-
-
 # -- place and height ----------------------------------------------------------------------------------------
 
 
@@ -113,13 +105,6 @@ def test_double_leaves_what_rounds_and_polynomials_leave():
 
 
 # -- ranges and status ---------------------------------------------------------------------------------------
-
-
-def test_the_wavelength_is_found_from_the_readings():
-    d = made("second harmonic, another wavelength").decoupler
-    assert d.model.period["x_m"] == pytest.approx(0.03017, rel=1e-12)
-    values = {e.name: e.value for e in d.table}
-    assert values["lc"] == pytest.approx(0.03017 / (2 * pi), rel=1e-12)
 
 
 def test_its_cost_is_counted_without_a_compiler_about_its_typical_gap():
