@@ -35,6 +35,7 @@ from hallsym.codegen.lowering.arrays_fit import (
     NEGLIGIBLE,
     SAMPLES,
     Arrays,
+    Group,
     Term,
     fewest,
     groups_of,
@@ -110,6 +111,11 @@ class Assembly:
         self.made.begin(self.found.model, self.inputs)
         self.poses, readings = self.found.trials(1, SAMPLES)
         self.tried = self.trial(readings, self.poses)
+
+    def readings_of(self, group: Group) -> dict[str, ca.SX]:
+        """Symbols of the readings of an array, by name."""
+        columns = [self.found.model.channels[k] for k in group.channels]
+        return {short(c): self.made.symbols[c] for c in columns}
 
     def trial(self, readings: np.ndarray, near: np.ndarray) -> Trial:
         """Return the trial of readings (n, s); `near` (2, s): places that say the period."""
@@ -515,8 +521,7 @@ class Assembly:
         """Add the steps from the readings to the linear pose; returns its displacements from the middle."""
         vectors: list[Pair] = []
         for wave, group, name in zip(self.waves, self.found.groups, self.names, strict=True):
-            columns = [self.found.model.channels[k] for k in group.channels]
-            readings = {short(c): self.made.symbols[c] for c in columns}
+            readings = self.readings_of(group)
             vectors.append(wave_steps.phasor_steps(self.made, wave, readings, f"_{name}"))
         logs = [
             wave_steps.logarithm_steps(self.made, w, u, f"_{n}")
@@ -532,17 +537,10 @@ class Assembly:
         """Add what is left of the readings of each array."""
         found, made = self.found, self.made
         read, tilted, waves = found.readings(self.poses), self.poses[3:] - found.middle[3:, None], []
-        phasors = found.phasors(read)
-        for group, wave, u, name in zip(found.groups, self.waves, phasors, self.names, strict=True):
-            readings = {
-                short(found.model.channels[k]): made.symbols[found.model.channels[k]] for k in group.channels
-            }
-            own = [made.symbols[f"{axis}_{wave.rounds or 'seen'}_{name}"] for axis in wave_steps.AXES]
-            at = own[0], own[1]
-            waves.append(
-                Seen(group.channels, group.phasor, readings, at, read[list(group.channels)], u, f"_{name}")
-            )
-        return contradictions(made, waves, found.weight**-0.5, dict(enumerate(linear[3:])), tilted)
+        for group, wave, name in zip(found.groups, self.waves, self.names, strict=True):
+            cos, sin = (made.symbols[f"{axis}_{wave.rounds or 'seen'}_{name}"] for axis in wave_steps.AXES)
+            waves.append(Seen(group.channels, group.phasor, self.readings_of(group), (cos, sin), f"_{name}"))
+        return contradictions(made, waves, found.weight**-0.5, read, dict(enumerate(linear[3:])), tilted)
 
     @property
     def flags(self) -> tuple[Flag, ...]:

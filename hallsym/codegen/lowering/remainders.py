@@ -33,18 +33,12 @@ UNKNOWNS = 2
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """Readings of one wave, and trial poses of them.
-
-    `numbers`: of the readings; `readings`: their symbols by name; `at`: symbols of the phasor. `read` (n, s)
-    and `u` (s,): readings and phasors of trial poses.
-    """
+    """Readings of one wave: their numbers, their symbols by name, and those of the phasor."""
 
     numbers: tuple[int, ...]
     phasor: Phasor
     readings: Mapping[str, ca.SX]
     at: Pair
-    read: np.ndarray
-    u: np.ndarray
     tag: str = ""
     rounds: int = 0
     """Rounds that took off higher harmonics: powers of the last one stand for those of `at`, where given."""
@@ -54,19 +48,20 @@ def contradictions(
     made: Collected,
     waves: Sequence[Seen],
     sigma: np.ndarray,
+    read: np.ndarray,
     tilts: Mapping[int, ca.SX] | None = None,
     tilted: np.ndarray | None = None,
 ) -> Redundancy | None:
     """Add what is left of all readings and the sum of its squares; None where nothing is left over.
 
-    `sigma` (n,): standard deviation of each reading [V]; the sum is in units of the largest. `tilts`: symbols
-    of rotations by number, `tilted` (3, s) of the trial poses.
+    `sigma` (n,): standard deviation of each reading [V]; the sum is in units of the largest. `read` (n, s):
+    readings at trial poses. `tilts`: symbols of rotations by number, `tilted` (3, s) of the trial poses.
     """
     watched: list[Watched] = []
-    shapes = np.zeros((0, len(waves[0].u))) if tilted is None else tilted
+    shapes = np.zeros((0, read.shape[1])) if tilted is None else tilted
     for wave in waves:
         if len(wave.numbers) > UNKNOWNS:
-            watched += _Left(made, wave, sigma, tilts or {}, shapes).make()
+            watched += _Left(made, wave, sigma, read, tilts or {}, shapes).make()
     if not watched:
         return None
     return residual.summed(made, watched)
@@ -76,10 +71,12 @@ class _Left:
     """What is left of the readings of one wave."""
 
     def __init__(
-        self, made: Collected, wave: Seen, sigma: np.ndarray, tilts: Mapping[int, ca.SX], tilted: np.ndarray
-    ) -> None:
+        self, made: Collected, wave: Seen, sigma: np.ndarray, read: np.ndarray, tilts: Mapping[int, ca.SX],
+        tilted: np.ndarray,
+    ) -> None:  # fmt: skip
         self.made, self.wave, self.tilts, self.tilted = made, wave, tilts, tilted
-        own = sigma[list(wave.numbers)]
+        own, self.read = sigma[list(wave.numbers)], read[list(wave.numbers)]
+        self.u = wave.phasor.solved(self.read)
         self.scale, self.unit = sigma.max() / own, float(sigma.max())
         self.rows = wave.phasor.design().T
         self.powers = Powers(made, *wave.at, f"_of{wave.tag}")
@@ -91,7 +88,7 @@ class _Left:
     def make(self) -> list[Watched]:
         """Add the steps: one of each reading, or one of all where they have one degree of freedom."""
         wave, offset = self.wave, self.wave.phasor.offset
-        free = (wave.read - offset[:, None]) * self.scale[:, None]
+        free = (self.read - offset[:, None]) * self.scale[:, None]
         rows = self.rows * self.scale[:, None]
         left = free - rows @ np.linalg.lstsq(rows, free, rcond=None)[0]
         names = list(wave.readings)
@@ -146,7 +143,7 @@ class _Left:
         return Watched(name, numbers)
 
     def _column(self, n: int, turns: tuple[int, ...], part: int) -> np.ndarray:
-        power = self.wave.u**n
+        power = self.u**n
         return np.asarray((power.imag if part else power.real) * np.prod(self.tilted[list(turns)], axis=0))
 
     def _symbol(self, n: int, turns: tuple[int, ...], part: int) -> ca.SX:

@@ -11,7 +11,7 @@ reaches beyond the row, the middle of the rest and the end of the row say it.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from math import pi
@@ -302,13 +302,7 @@ def _left(made: "_Assembly") -> float:
 
 @dataclass(eq=False)
 class _Assembly(Assembly):
-    # no `Arrays`: the steps that are inherited read what both have, the others are overridden below
-    found: Rows  # type: ignore[assignment]
-    _normal: dict[str, tuple] = field(default_factory=dict, init=False)
-    """By row: sensors times weight, the normal matrix and one over its determinant."""
-
-    def _channels(self, row: Group) -> list[str]:
-        return [short(self.found.model.channels[k]) for k in row.channels]
+    found: Rows
 
     def wide(self, axis: int) -> bool:
         return not self.found.absolute and super().wide(axis)
@@ -348,9 +342,8 @@ class _Assembly(Assembly):
         for k in members:
             row = self.found.groups[k]
             design = row.phasor.design()
-            for j, name in enumerate(self._channels(row)):
+            for j, (name, reading) in enumerate(self.readings_of(row).items()):
                 offset = made.entry(f"offset_{name}", float(row.phasor.offset[j]), "V", f"offset of {name}")
-                reading = made.symbols[self.found.model.channels[row.channels[j]]]
                 f = made.step(f"field_{name}", reading - offset)
                 cos.append(f * made.entry(f"cos_{name}", design[0, j], "V", f"read by {name} of the cosine"))
                 sin.append(f * made.entry(f"sin_{name}", design[1, j], "V", f"read by {name} of the sine"))
@@ -366,7 +359,7 @@ class _Assembly(Assembly):
     def _middle_seen(self) -> ca.SX:
         """The middle of one array as far as the squares of the readings say it."""
         made, (row,), (low, high) = self.made, self.found.groups, self.found.whole
-        names = self._channels(row)
+        names = list(self.readings_of(row))
         energy = [made.step(f"energy_{n}", made.symbols[f"field_{n}"] ** 2) for n in names]
         total = made.total("energy", energy, "[V2] of all sensors")
         places = [made.symbols[f"at_{n}"] * e for n, e in zip(names, energy, strict=True)]
@@ -392,7 +385,7 @@ class _Assembly(Assembly):
         about = "half of what counts of the array, over the ramp"
         start = made.entry(f"depth_{tag}", half / ramp, "1", about)
         rate = made.entry("per_ramp", 1 / ramp, "1/m", "a weight goes from 0 to 1 over its inverse", "sign")
-        for name in self._channels(row):
+        for name in self.readings_of(row):
             at = made.symbols[f"at_{name}"]
             beside = made.step(f"beside_{name}", self.at[row.axis] - at, "[m] of the middle of the array")
             depth = made.step(f"deep_{name}", start - ca.fabs(beside) * rate)
@@ -428,7 +421,7 @@ class _Assembly(Assembly):
         return made.step(f"taken_{column}{tag}", ca.if_else(up > -most, up, -most))
 
     def _vector(self, row: Group, name: str, tag: str, before: str | None, turn: ca.SX | None) -> Pair:
-        made, sensors = self.made, self._channels(row)
+        made, sensors = self.made, list(self.readings_of(row))
         field = [made.symbols[f"field_{s}"] for s in sensors]
         cos, sin, weight = ([made.symbols[f"{n}_{s}"] for s in sensors] for n in ("cos", "sin", "weight"))
         lifted: list[ca.SX] = []
@@ -453,20 +446,19 @@ class _Assembly(Assembly):
         def product(label: str, a: Sequence[ca.SX], b: Sequence[ca.SX], tag: str) -> ca.SX:
             return made.total(f"{label}_{name}{tag}", [x * y for x, y in zip(a, b, strict=True)])
 
-        if turn is not None or before is None:  # the same for all solutions without tilt
-            wc = [made.step(f"wcos_{s}{tag}", w * c) for s, w, c in zip(sensors, weight, cos, strict=True)]
-            ws = [made.step(f"wsin_{s}{tag}", w * c) for s, w, c in zip(sensors, weight, sin, strict=True)]
-            pairs = {"cos_cos": (wc, cos), "cos_sin": (wc, sin), "sin_sin": (ws, sin)}
-            normal = [product(label, *pair, tag) for label, pair in pairs.items()]
-            self._normal[name] = wc, ws, *normal, self._per_cover(row, name, normal, tag)
-        wc, ws, cc, cs, ss, per = self._normal[name]
+        own = tag if turn is not None or before is None else "_0"  # without tilt all solutions share it
+        wc = [made.step(f"wcos_{s}{own}", w * c) for s, w, c in zip(sensors, weight, cos, strict=True)]
+        ws = [made.step(f"wsin_{s}{own}", w * c) for s, w, c in zip(sensors, weight, sin, strict=True)]
+        pairs = {"cos_cos": (wc, cos), "cos_sin": (wc, sin), "sin_sin": (ws, sin)}
+        cc, cs, ss = (product(label, *pair, own) for label, pair in pairs.items())
+        per = self._per_cover(name, cc * ss - cs * cs, own)
         re, im = product("cos_seen", wc, field, tag), product("sin_seen", ws, field, tag)
         return self._clamped((ss * re - cs * im, cc * im - cs * re), per, f"{name}{tag}")
 
-    def _per_cover(self, row: Group, name: str, normal: Sequence[ca.SX], tag: str) -> ca.SX:
+    def _per_cover(self, name: str, determinant: ca.SX, tag: str) -> ca.SX:
         """One over the determinant of a normal matrix, no less than where the flag is set."""
-        made, (cc, cs, ss) = self.made, normal
-        cover = made.step(f"cover_{name}{tag}", cc * ss - cs * cs, "[V4] cosine told from sine")
+        made = self.made
+        cover = made.step(f"cover_{name}{tag}", determinant, "[V4] cosine told from sine")
         value = COVER * float(self.tried([cover.name()]).min())
         least = made.entry(f"least_cover_{name}", value, "V4", "share of the least of the box", "sign")
         clamped = made.step(f"held_cover_{name}{tag}", ca.if_else(cover > least, cover, least))
@@ -493,7 +485,7 @@ class _Assembly(Assembly):
         for n in self.found.harmonics:
             re, im = powers(n)
             design = row.phasor.design(n)
-            for k, sensor in enumerate(self._channels(row)):
+            for k, sensor in enumerate(self.readings_of(row)):
                 a, b = (
                     made.entry(f"{part}_{n}_{sensor}", design[j, k], "V", f"read by {sensor} of {part} {n}")
                     for j, part in enumerate(wave_steps.AXES)
@@ -547,7 +539,7 @@ class _Assembly(Assembly):
             if len(row.channels) <= UNKNOWNS:
                 continue
             seen = [made.symbols[f"held_{axis}_{name}"] for axis in wave_steps.AXES]
-            for number, s in zip(row.channels, self._channels(row), strict=True):
+            for number, s in zip(row.channels, self.readings_of(row), strict=True):
                 rest = made.symbols[f"left_{last[0]}_{s}" if last else f"field_{s}"]
                 for axis, part in zip(wave_steps.AXES, seen, strict=True):
                     rest = rest - made.symbols[f"{lifted}{axis}_{s}"] * part

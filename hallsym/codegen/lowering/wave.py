@@ -142,12 +142,10 @@ class _Assembly:
         )  # fmt: skip
 
     def _redundancy(self, vector: Pair) -> Redundancy | None:
-        found, inputs = self.wave.phasor, self.model.channels
-        read = self.drawn(np.random.default_rng(12), TRIALS)
-        readings = {short(c): self.made.symbols[c] for c in inputs}
-        own, u = tuple(range(len(inputs))), found.solved(read)
-        seen = Seen(own, found, readings, vector, read, u, rounds=self.wave.rounds)
-        return contradictions(self.made, [seen], self.weight**-0.5)
+        readings = {short(c): self.made.symbols[c] for c in self.model.channels}
+        every, read = tuple(range(len(readings))), self.drawn(np.random.default_rng(12), TRIALS)
+        seen = Seen(every, self.wave.phasor, readings, vector, rounds=self.wave.rounds)
+        return contradictions(self.made, [seen], self.weight**-0.5, read)
 
     def _pose(self, made: Collected, logarithm: ca.SX, phase: ca.SX) -> None:
         """Add the last steps: place within half a wavelength, and height."""
