@@ -112,14 +112,15 @@ def found_once(look: Callable[[Base, frozenset[int]], Found]) -> Callable[[Base,
 class Piece:
     """A stretch of one run: times, whitened residual, rate of the reading [1/s] and readings, (K, samples).
 
-    `speed` is d (expected reading) / dt, whitened like the residual. `used` says which samples count. `data`
-    holds the columns of the model, the rates of the reference up to the third (`d0_x_ref_m`: smoothed),
-    `t_s`, `campaign_s`, `run_s` and, where logged, `temperature_degc`.
+    `expected` is the expected reading and `speed` its rate, whitened like the residual. `used` says which
+    samples count. `data` holds the columns of the model, the rates of the reference up to the third
+    (`d0_x_ref_m`: smoothed), `t_s`, `campaign_s`, `run_s` and, where logged, `temperature_degc`.
     """
 
     run: int
     t: np.ndarray
     residual: np.ndarray
+    expected: np.ndarray
     speed: np.ndarray
     readings: np.ndarray
     used: np.ndarray
@@ -137,12 +138,13 @@ def pieces(base: Base, runs: frozenset[int]) -> Iterator[Piece]:
         weights = batch.weights(base.keep)
         residual, speed = known[k] if known else evaluate(batch)
         readings = np.array(batch.columns(model.channels))
+        expected = base.whiten @ readings - residual
         for block, (_, at) in zip(batch.blocks, batch.parts(), strict=True):
             if block.run in runs:
                 used = np.ones(at.stop - at.start, bool) if weights is None else weights[at] > 0
                 yield Piece(
-                    block.run, block.data["t_s"], residual[:, at], speed[:, at], readings[:, at], used,
-                    dict(block.data),
+                    block.run, block.data["t_s"], residual[:, at], expected[:, at], speed[:, at],
+                    readings[:, at], used, dict(block.data),
                 )  # fmt: skip
 
 

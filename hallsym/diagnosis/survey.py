@@ -174,12 +174,24 @@ def noise_of_rest(base: Base, runs: Sequence[int]) -> ResidualNoise | None:
 def _instants(piece: Piece) -> np.ndarray:
     """Return the time shift that explains each residual, the speed, and the rest squared: (3, n), whitened.
 
-    Smooth changes are a gap of the model and not of samples: a running median removes them.
+    Smooth changes are a gap of the model and not of samples: a running median removes them. The shift is
+    along the tangent of the motion, or along a chord where that is nearer: the reading of a sample that is
+    late by several samples is off the tangent, but on the path of the expected readings.
     """
     quick = piece.residual - median_filter(piece.residual, size=(1, WINDOW), mode="nearest")
     size = np.linalg.norm(piece.speed, axis=0)
     z = (piece.speed * quick).sum(axis=0) / np.maximum(size, 1e-150)
-    return np.array([z, size, (quick**2).sum(axis=0) - z**2])
+    rest, reach, n = (quick**2).sum(axis=0) - z**2, WINDOW // 2, quick.shape[1]
+    path = np.pad(piece.expected, ((0, 0), (reach, reach)), mode="edge")
+    for lag in range(-reach, reach):
+        chord = path[:, reach + lag : reach + lag + n] - piece.expected
+        step = np.diff(path[:, reach + lag : reach + lag + n + 1])
+        share = ((quick - chord) * step).sum(axis=0) / np.maximum((step**2).sum(axis=0), 1e-300)
+        chord = chord + share.clip(0.0, 1.0) * step
+        left = ((quick - chord) ** 2).sum(axis=0)
+        z = np.where(left < rest, np.sign(lag + 0.5) * np.linalg.norm(chord, axis=0), z)
+        rest = np.minimum(rest, left)
+    return np.array([z, size, rest])
 
 
 def _step(v: np.ndarray, policy: Policy) -> tuple[float, float]:

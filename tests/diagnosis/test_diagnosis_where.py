@@ -66,7 +66,7 @@ def test_hum_is_said_to_lie_at_the_mains() -> None:
 def test_the_mains_are_what_a_grid_lets_them_drift_by(line: float, near: bool) -> None:
     t = np.arange(0, 60, 2e-3)
     row = np.sin(2 * np.pi * line * t)[None]
-    found = spectrum([Piece(0, t, row, row, row, np.ones(len(t), bool), {})])
+    found = spectrum([Piece(0, t, row, row, row, row, np.ones(len(t), bool), {})])
     power = {band: runs[0][0] for band, runs in found.items()}
     mains = sum(v for band, v in power.items() if band.mains)
     assert mains / sum(power.values()) == pytest.approx(float(near), abs=0.05)

@@ -6,6 +6,7 @@ import pytest
 import hallsym
 from hallsym.diagnosis import POLICY
 from hallsym.diagnosis.curves import lack_of_fit
+from hallsym.diagnosis.faults import faults
 from hallsym.diagnosis.setup import base_of, split
 from hallsym.diagnosis.survey import Survey, memory_of_recording, survey
 from hallsym.log import Log, Noise
@@ -90,3 +91,13 @@ def test_a_tone_is_a_line_that_is_no_drift(hz, seen):
     log = encoder(samples=1024, turned=lambda t: 0.5 * SIGMA * np.sin(2 * np.pi * hz * t))
     found = lack_of_fit(based(log), log.runs)
     assert (found.tones > 0.01) == seen
+
+
+def test_readings_late_by_several_samples_are_no_spikes():
+    """Four samples at 8 rad/s are .13 rad: the chord is 16 sigma from the tangent."""
+    log = encoder(samples=512)
+    source = np.arange(log.rows) - 4 * (np.arange(log.rows) % 61 == 60)
+    columns = {c: log.array(c)[source] if c.startswith("v_") else log.array(c) for c in log.columns}
+    base = based(Log.from_arrays(columns, log.noise))
+    names = [f.name for f in faults(base, survey(base, frozenset(log.runs)), tested=40)]
+    assert names == ["dropped_samples"]
