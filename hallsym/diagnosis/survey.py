@@ -4,12 +4,11 @@ These findings have no model equation (an outlier), or they are starting values 
 frequency).
 """
 
-import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
+from scipy.fft import next_fast_len
 from scipy.linalg import solve_toeplitz
 from scipy.ndimage import median_filter
 
@@ -213,83 +212,40 @@ def _step(v: np.ndarray, policy: Policy) -> tuple[float, float]:
 # -- hum of the mains ----------------------------------------------------------------------------------------
 
 
-FINER = 8
-"""Frequencies per resolution of a block: power between two of them is a straight line within 0.6 %."""
-
-
-class Blocks(NamedTuple):
-    """Fourier amplitudes of blocks of one length about their middles, (blocks, K, frequencies).
-
-    `middle`: (blocks,) [s], `length` [s], `f` [Hz].
-    """
-
-    middle: np.ndarray
-    length: float
-    f: np.ndarray
-    amplitudes: np.ndarray
-
-    def around(self, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the last own frequency below each of `f`, and how far it is from there to the next."""
-        low = np.clip(np.searchsorted(self.f, f) - 1, 0, len(self.f) - 2)
-        return low, np.clip((f - self.f[low]) / (self.f[low + 1] - self.f[low]), 0.0, 1.0)
-
-    def power(self, f: np.ndarray) -> np.ndarray:
-        """Return the power (f,) of all blocks at some frequencies."""
-        low, share = self.around(f)
-        at = ((1 - share) * each[:, low] + share * each[:, low + 1] for each in self.amplitudes)
-        return np.asarray(sum((np.abs(each) ** 2).sum(axis=0) for each in at) / self.length)
-
-    def together(self, f: np.ndarray, first: float) -> np.ndarray:
-        """Return the amplitudes (K, f) of all blocks about the instant `first`, at evenly spaced `f`."""
-        shift = self.middle - first
-        step = np.exp(-2j * np.pi * np.outer(shift, f[: math.isqrt(len(f)) + 1] - f[0]))
-        low, share = self.around(f)
-        parts = []
-        for start in range(0, len(f), step.shape[1]):
-            here = slice(start, start + step.shape[1])
-            k, own = np.arange(len(f[here])), low[here] - low[start]
-            phase = np.exp(-2j * np.pi * f[start] * shift)[:, None] * step[:, : len(k)]
-            knots = self.amplitudes[..., low[start] : low[start] + own[-1] + 2]
-            at = np.tensordot(knots, phase, (0, 0))
-            parts.append((1 - share[here]) * at[:, own, k] + share[here] * at[:, own + 1, k])
-        return np.concatenate(parts, axis=1)
-
-
 def hum(times: Sequence[np.ndarray], rest: Sequence[np.ndarray]) -> tuple[float, ...]:
     """Return the strongest frequency near each one of the mains; none of blocks too short to tell.
 
     `times`: (n,) [s] of each block, evenly spaced; `rest`: its residual, (K, n). The power of the blocks
-    tells where it is, and their phases where exactly.
+    tells where it is, and their phases where exactly. In differences of neighbouring samples slow changes
+    have no power.
     """
-    by_length: dict[tuple[int, float], list[tuple[np.ndarray, np.ndarray]]] = {}
-    for t, r in zip(times, rest, strict=True):
-        if len(t) > 2 * FEWEST_SAMPLES:
-            by_length.setdefault((len(t), float(f"{t[-1] - t[0]:.9g}")), []).append((t, r))
-    if not by_length:
+    known = [(0.5 * (t[1:] + t[:-1]), np.diff(r)) for t, r in zip(times, rest, strict=True)]
+    known = [(t, x) for t, x in known if len(t) >= 2 * FEWEST_SAMPLES]
+    if not known:
         return ()
-    blocks = [_blocks(*zip(*each, strict=True)) for each in by_length.values()]
-    longest = max(b.length for b in blocks)
-    first, last = min(b.middle[0] for b in blocks), max(b.middle[-1] for b in blocks)
-    span = max(last - first, longest)
-    out = []
+    lengths = [t[-1] - t[0] for t, _ in known]
+    longest, whole = max(lengths), [np.concatenate(each, axis=-1) for each in zip(*known, strict=True)]
+    span, out = max(float(np.ptp(whole[0])), longest), []
     for hz in MAINS_HZ:
-        f = hz + np.arange(-MAINS_REACH_HZ, MAINS_REACH_HZ, 0.5 / longest)
-        f = f[np.argmax(sum(b.power(f) for b in blocks))]
-        f = f + np.arange(-0.5 / longest, 0.5 / longest, 0.25 / span)
-        amplitudes = sum(b.together(f, first) for b in blocks)
-        out.append(float(f[np.argmax((np.abs(amplitudes) ** 2).sum(axis=0))]))
+        powers = [_power(t, x, hz, MAINS_REACH_HZ, longest) for t, x in known]
+        total = sum(power / length for (_, power), length in zip(powers, lengths, strict=True))
+        f, power = _power(*whole, powers[0][0][np.argmax(total)], 0.5 / longest, span)
+        out.append(float(f[np.argmax(power)]))
     return tuple(out)
 
 
-def _blocks(times: Sequence[np.ndarray], rest: Sequence[np.ndarray]) -> Blocks:
-    """Amplitudes of differences of neighbouring samples, in which slow changes have no power."""
-    t, n = np.array(times), rest[0].shape[1] - 1
-    length = t[0, -1] - t[0, 0]
-    ends = [FINER * length * (hz + np.array([-MAINS_REACH_HZ, MAINS_REACH_HZ])) for hz in MAINS_HZ]
-    lines = np.concatenate([np.arange(int(low), int(high) + 2) for low, high in ends])
-    middle, f = 0.5 * (t[:, 1] + t[:, -1]), lines / (FINER * length)
-    amplitudes = np.empty((len(rest), len(rest[0]), len(f)), dtype=complex)
-    for own, each, after in zip(amplitudes, rest, middle - t[:, 1], strict=True):
-        own[:] = np.fft.fft(np.diff(each), FINER * n)[:, lines % (FINER * n)]  # or an alias
-        own *= np.exp(2j * np.pi * (after * f))
-    return Blocks(middle, length, f, amplitudes)
+def _power(
+    t: np.ndarray, x: np.ndarray, centre: float, reach: float, span: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return frequencies within `reach` of `centre` [Hz], a quarter of 1 / `span` apart, and the power there.
+
+    Of values x (K, n) at times t: multiplied by a wave of the frequency `centre`, and summed over a 32nd
+    of a period of `reach`.
+    """
+    step = 1 / (32 * reach)
+    size = next_fast_len(1 + int(4 * span / step))
+    wave, at = np.exp(-2j * np.pi * centre * t), ((t - t[0]) / step).astype(int)
+    slow = [np.bincount(at, v.real, size) + 1j * np.bincount(at, v.imag, size) for v in x * wave]
+    f = np.fft.fftfreq(size, step)
+    near = np.abs(f) <= reach
+    return centre + f[near], (np.abs(np.fft.fft(slow)[:, near]) ** 2).sum(axis=0)
