@@ -7,12 +7,11 @@ there: noise of any autocorrelation makes such steps in every run, of much the s
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 
-from hallsym.diagnosis.p_values import FLIPS, beyond_one, statistic_at
+from hallsym.diagnosis.p_values import beyond_one, statistic_at
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.residual_table import ROOM, ResidualTable, means, slices, table_of
 from hallsym.diagnosis.residuals import NIL, Base
@@ -171,64 +170,25 @@ def steps(
 # -- two levels of offset among the runs ---------------------------------------------------------------------
 
 
-def switched_runs(r: ResidualTable) -> tuple[tuple[int, ...], float]:
-    """Return the runs whose offset forms a level of its own beside the others, and the p-value of two levels.
+def switched_runs(r: ResidualTable) -> tuple[int, ...]:
+    """Return the runs whose offset forms a level of its own beside the others; none where runs are too few.
 
-    None where runs are too few. Offsets are the mean whitened residuals of each run, along the direction in
-    which they differ most; the split into two levels is the one that explains most of their squares. Every
-    run, fitted or holdout, is assigned by its own offset. The first run is always on the other level. The
-    p-value is the share of draws of as many Gaussian offsets that split as well.
+    Offsets are the mean whitened residuals of each run, along the direction in which they differ most; the
+    split into two levels is the one that explains most of their squares. Every run, fitted or holdout, is
+    assigned by its own offset. The first run is always on the other level.
     """
     edges = edges_of(r.run)
     runs, n = r.run[edges[:-1]], np.diff(edges)
     if len(runs) < r.base.policy.fewest:
-        return (), 1.0
+        return ()
     mean = means(np.linalg.cholesky(r.precision).T @ r.residual, r.run).T
-    level = _levels(mean[None], n)
-    share, split = _two_levels(level, n)
-    chance = _shares_by_chance(tuple(n.tolist()), len(r.residual))
-    order = np.argsort(level[0])
-    sides = set(runs[order[: split[0]]].tolist()), set(runs[order[split[0] :]].tolist())
-    p = (1 + np.count_nonzero(chance >= share[0])) / (1 + len(chance))
-    return tuple(sorted(sides[int(r.run[0]) in sides[0]])), float(p)
-
-
-NUMBERS = 1_000_000
-"""Numbers that are drawn at once, 8 MB."""
-
-
-@lru_cache(maxsize=4)
-def _shares_by_chance(n: tuple[int, ...], channels: int) -> np.ndarray:
-    """Return the shares of `_two_levels` (FLIPS,) where the offsets of runs of n samples are Gaussian."""
-    rng, size, found = np.random.default_rng(len(n)), np.array(n), list[np.ndarray]()
-    for draws in np.array_split(np.arange(FLIPS), -(-FLIPS * len(n) * channels // NUMBERS)):
-        mean = rng.standard_normal((len(draws), len(n), channels)) / np.sqrt(size)[:, None]
-        found.append(_two_levels(_levels(mean, size), size)[0])
-    return np.concatenate(found)
-
-
-def _levels(mean: np.ndarray, n: np.ndarray) -> np.ndarray:
-    """Return offsets of the means (draws, runs, K) of n samples along the direction of most variance.
-
-    Their unit is arbitrary.
-    """
-    mean = mean - (n @ mean / n.sum())[:, None]
-    vectors, _, _ = np.linalg.svd(np.sqrt(n)[:, None] * mean, full_matrices=False)
-    return np.asarray(vectors[:, :, 0] / np.sqrt(n))
-
-
-def _two_levels(level: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the share of the squares of offsets (draws, runs) that two levels explain best, and where the
-    offsets by size are split."""
-    order = np.argsort(level, axis=1)
-    below, left = (
-        np.cumsum(np.take_along_axis(np.broadcast_to(values, level.shape), order, axis=1), axis=1)[:, :-1]
-        for values in (n * level, n)
-    )
-    explained = below**2 * (1 / left + 1 / (n.sum() - left))
-    best = explained.argmax(axis=1)
-    whole = np.maximum((n * level**2).sum(axis=1), 1e-300)
-    return np.take_along_axis(explained, best[:, None], axis=1)[:, 0] / whole, 1 + best
+    mean -= n @ mean / n.sum()
+    level = np.linalg.svd(np.sqrt(n)[:, None] * mean, full_matrices=False)[0][:, 0] / np.sqrt(n)
+    order = np.argsort(level)
+    below, left = np.cumsum((n * level)[order])[:-1], np.cumsum(n[order])[:-1]
+    split = 1 + int(np.argmax(below**2 * (1 / left + 1 / (n.sum() - left))))
+    sides = set(runs[order[:split]].tolist()), set(runs[order[split:]].tolist())
+    return tuple(sorted(sides[int(r.run[0]) in sides[0]]))
 
 
 def _slips(base: Base, r: ResidualTable, found: Survey) -> tuple[tuple[int, float], ...]:
@@ -246,7 +206,6 @@ def facts_of(base: Base, found: Survey) -> Facts:
     model, log, warm = base.model, base.log, "temperature_degc"
     r, values = table_of(base, frozenset(log.runs)), _readings(log, model)
     several = len(model.channels) > len(model.pose) and not model.offsets
-    on_runs, on_runs_p = switched_runs(r) if r and several else ((), 1.0)
     return Facts(
         duration_s=max(found.duration_s, 1e-6),
         columns=tuple(c for c in log.columns if base.timed or c != "t_s"),
@@ -257,9 +216,8 @@ def facts_of(base: Base, found: Survey) -> Facts:
         lines_tried=max(1, round(2 * MAINS_REACH_HZ * len(MAINS_HZ) * found.duration_s)),
         instants=_slips(base, r, found) if r else (),
         instants_tried=len(model.layout) * (min(log.rows, ROOM) // SEGMENT + len(log.runs)),
-        on_runs=on_runs,
+        on_runs=switched_runs(r) if r and several else (),
         on_runs_tried=2 ** (len(log.runs) - 1),
-        on_runs_p=on_runs_p,
     )
 
 

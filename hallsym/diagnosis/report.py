@@ -377,7 +377,7 @@ def _effect(found: Validation, validated: Validated, spread: np.ndarray) -> Foun
             )
             for n, j in index.items()
         },
-        p_value=validated.p_value,
+        p_value=score.p_value,
         shrinkage=validated.judged.value,
         interval=validated.judged.interval(),
         share=_share(found, validated.errors.metric**2 - found.after.metric**2),

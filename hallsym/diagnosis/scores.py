@@ -184,7 +184,7 @@ class Screen:
             s = replace(s, kept=kept, ratio=1 - (1 - s.ratio) * kept, statistic=z0[0])
             s = replace(s, p_by_noise=_by_noise(s, peak, sum(most.values())))
             signs = max(joint.p_value(z) for joint, z in zip(joints, z0, strict=False))
-            p = min(1.0, signs / of_signs, s.variant.by_itself / part, s.p_by_noise / part)
+            p = min(1.0, signs / of_signs, s.p_by_noise / part)
             ratio = min(s.ratio, self._ratio(s, peak)) if p < self.base.policy.false_alarm else s.ratio
             out.append(replace(s, p_value=p, ratio=ratio))
         self.scores = out

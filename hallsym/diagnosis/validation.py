@@ -13,7 +13,7 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from scipy.special import ndtri, stdtr, stdtrit
+from scipy.special import ndtri, stdtrit
 
 from hallsym.diagnosis.curves import LackOfFit, lack_of_fit
 from hallsym.diagnosis.decoded_errors import DecodedErrors, decoded_errors
@@ -50,21 +50,9 @@ class Judged:
         return cls(np.array([before[r] for r in runs]), np.array([after[r] for r in runs]), policy)
 
     @property
-    def log_ratio(self) -> float:
-        """Logarithm of the gap after over the gap before."""
-        return 0.5 * float(np.log(max(self.after.sum(), 1e-300) / max(self.before.sum(), 1e-300)))
-
-    @property
     def value(self) -> float:
         """The shrinkage, 1 - after / before."""
-        return 1 - float(np.exp(self.log_ratio))
-
-    @property
-    def error(self) -> float:
-        """Standard error of the logarithm, by a jackknife over runs."""
-        n = len(self.before)
-        without = 0.5 * np.log((self.after.sum() - self.after) / (self.before.sum() - self.before))
-        return float(np.sqrt((n - 1) / n * ((without - without.mean()) ** 2).sum()))
+        return 1 - float(np.sqrt(self.after.sum() / max(self.before.sum(), 1e-300)))
 
     def interval(self, scale: float = 1.0) -> tuple[float, float] | None:
         """Return the 95 % interval of the shrinkage on a new recording of as many runs; None of too few.
@@ -79,14 +67,6 @@ class Judged:
         ratio = np.sqrt((mixtures @ self.after) / np.maximum(mixtures @ self.before, 1e-300))
         low, high = 1 - scale * np.quantile(ratio, [1 - outside / 2, outside / 2])
         return float(low), float(high)
-
-    @property
-    def p_value(self) -> float:
-        """P-value of no decrease, one-sided, by Student's t."""
-        n = len(self.before)
-        if n < 2 or self.error <= 0:
-            return 1.0
-        return float(stdtr(n - 1, self.log_ratio / self.error))
 
 
 @lru_cache(maxsize=16)
@@ -146,7 +126,6 @@ class Validated:
     exact: Exact
     without: Refitted
     errors: DecodedErrors
-    p_value: float
     judged: Judged
 
     @property
@@ -164,8 +143,8 @@ class Validated:
 class Validation:
     """The effects that hold on the holdout runs, and the residual with them.
 
-    `start`: the fit without effects; `dropped`: whether a selected effect does not hold. `end`: the model
-    with the effects that hold; `fit`: the same, fitted without the samples that are faults by themselves.
+    `start`: the fit without effects; `end`: the model with the effects that hold; `fit`: the same, fitted
+    without the samples that are faults by themselves.
     Errors on the holdout runs: `before` without effects, `after` with them, `cured` also without faulty
     samples; `metric`: the gap without any fault of samples [m or rad]. `rest`: the structure of the residual
     of `end`. `variance`: of the fitted samples' whitened residual; `inflation`: variance of a slow average
@@ -177,7 +156,6 @@ class Validation:
     end: Base
     fit: Refitted
     effects: tuple[Validated, ...]
-    dropped: bool
     judged: Judged | None
     before: DecodedErrors
     after: DecodedErrors
@@ -213,7 +191,6 @@ def validate(setup: Setup, selection: Selection) -> Validation:
     Faulty samples are left out, and the model is refitted without them.
     """
     before = decoded_errors(setup.as_logged(selection.start.base), setup.holdout)
-    selected = len(selection.effects)
     effects = _holding(setup, selection, before)
     unchanged = not effects and not setup.miswired
     fit, runs = selection.fit, frozenset(setup.runs)
@@ -240,7 +217,6 @@ def validate(setup: Setup, selection: Selection) -> Validation:
         end=end,
         fit=fit,
         effects=effects,
-        dropped=selected > len(effects),
         judged=_judged(setup, selection, selection.start) if effects else None,
         before=before,
         after=after,
@@ -298,18 +274,10 @@ def unfounded(without: float, after: float, floor: float, policy: Policy) -> boo
 
 
 def _validated(setup: Setup, selection: Selection, effect: Exact, before: DecodedErrors) -> Validated:
-    """Return an effect beside the fit without it.
-
-    Where the exact refit of an effect explains far more than its score, the score tests its tangent and not
-    the effect: the decrease on the evaluated runs is tested instead.
-    """
+    """Return an effect beside the fit without it."""
     without, alone = selection.without(effect), len(selection.effects) == 1
     errors = before if alone else decoded_errors(without.base.on_all, setup.holdout)
-    judged = _judged(setup, selection, without)
-    p = effect.score.p_value
-    if effect.fit.cost < setup.policy.half * (effect.squares_before - effect.score.gain):
-        p = judged.p_value
-    return Validated(effect, without, errors, p, judged)
+    return Validated(effect, without, errors, _judged(setup, selection, without))
 
 
 def _judged(setup: Setup, selection: Selection, without: Refitted) -> Judged:
@@ -330,11 +298,6 @@ def cures(fault: Fault) -> float:
 # -- the verdict ---------------------------------------------------------------------------------------------
 
 
-def worth_reporting(floor: Floor, threshold: float) -> float:
-    """Return the metric up to which nothing above the floor is worth reporting."""
-    return floor.metric * limit_of(floor.uncertain, threshold)
-
-
 def shaped(setup: Setup, rest: LackOfFit) -> bool:
     """Return whether a residual has a shape, or tones, that are worth the threshold by themselves."""
     need = 1 - (1 - setup.threshold) / (1 + setup.policy.negligible)
@@ -351,7 +314,7 @@ def remains(setup: Setup, found: Validation, rest: LackOfFit, metric: float) -> 
     if shaped(setup, rest):
         return True
     metric /= 1 + float(ndtri(1 - setup.policy.false_alarm / 2)) * found.error
-    return metric > worth_reporting(found.floor, setup.threshold)
+    return metric > found.floor.metric * limit_of(found.floor.uncertain, setup.threshold)
 
 
 Verdict = Literal["no gap", "explained", "unexplained", "noise larger than stated"]
@@ -373,8 +336,6 @@ def decide(setup: Setup, found: Validation, noise: ResidualNoise | None = None) 
     rest = found.rest if base is found.end else lack_of_fit(base, setup.runs)
     loud = noise is not None and all_noise(setup, found, rest, metric, noise)
     gap = not loud and remains(setup, found, rest, metric)
-    if found.dropped and not loud:
-        gap = gap or metric > worth_reporting(found.floor, setup.threshold)
     if not named and not loud:
         gap = gap or material(setup, found.end)
     if named:

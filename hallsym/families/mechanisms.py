@@ -298,13 +298,7 @@ def with_temperature(mean_degc: float) -> Functions:
 def switched(model: Model, facts: Facts) -> list[Try]:
     """Return the runs in which an external field may have been on."""
     listed = ", ".join(map(str, facts.on_runs))
-    one = Try(
-        {"runs": facts.on_runs},
-        f"on in runs {listed}",
-        shapes=1,
-        tried=facts.on_runs_tried,
-        by_itself=facts.on_runs_p,
-    )
+    one = Try({"runs": facts.on_runs}, f"on in runs {listed}", shapes=1, tried=facts.on_runs_tried)
     return [one] if facts.on_runs else []
 
 

@@ -23,7 +23,7 @@ class Facts:
     `rails`: lowest and highest value of each channel where it repeats, else -inf and inf. `lines_hz`:
     mains frequencies seen in the residuals, of `lines_tried` independent ones. `instants`: channel and
     time [s] of a possible slip, of `instants_tried` that were compared. `on_runs`: runs in which an external
-    field may have been on, of `on_runs_tried` choices; `on_runs_p`: p-value of two levels of their offsets.
+    field may have been on, of `on_runs_tried` choices.
     """
 
     duration_s: float
@@ -37,7 +37,6 @@ class Facts:
     instants_tried: int = 1
     on_runs: tuple[int, ...] = ()
     on_runs_tried: int = 1
-    on_runs_p: float = 1.0
 
 
 def example_facts(model: Model) -> Facts:
@@ -62,7 +61,6 @@ class Try:
     label: str = ""
     shapes: int = 0
     tried: int = 1
-    by_itself: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ class Variant:
 
     `label` names the variant within its effect; `text` is the argument of `--effect`, `numbers` its values.
     `shapes` counts searched numbers that are no parameters of the model, `tried` how many of their values
-    were compared, for the significance. `by_itself`: p-value of the searched numbers alone, 1 if unknown.
+    were compared, for the significance.
     """
 
     label: str
@@ -39,7 +39,6 @@ class Variant:
     numbers: Mapping[str, Any]
     shapes: int = 0
     tried: int = 1
-    by_itself: float = 1.0
 
 
 # -- effects -----------------------------------------------------------------------------------------------
@@ -191,7 +190,6 @@ class Effect:
             numbers=numbers,
             shapes=sum(t.shapes for t in tries),
             tried=prod(t.tried for t in tries),
-            by_itself=min((t.by_itself for t in tries), default=1.0),
         )
 
 

@@ -39,16 +39,6 @@ def judged(before, after, fewest=6):
     )
 
 
-def test_a_decrease_by_chance_is_uniform_and_a_real_one_is_certain():
-    rng = np.random.default_rng(0)
-    draws = rng.chisquare(30, (2, 2000, 20))
-    p = np.array([judged(a, b).p_value for a, b in draws.swapaxes(0, 1)])
-    for level in (0.05, 0.5):
-        assert np.mean(p < level) == pytest.approx(level, abs=4 * np.sqrt(level * (1 - level) / 2000))
-    size = rng.uniform(1.0, 20.0, 20)  # a strong effect that differs from run to run
-    assert judged(size * draws[0, 0], 1e-2 * draws[1, 0]).p_value < 1e-5
-
-
 @pytest.mark.parametrize("runs", [12, 40])
 def test_the_interval_holds_new_recordings_of_as_many_runs(runs):
     """A gap of 1.3 times the noise, other motion in every run: 95 % of new shrinkages lie within."""

@@ -3,8 +3,6 @@
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
-from scipy.stats import binomtest
 
 from hallsym.diagnosis import POLICY
 from hallsym.diagnosis.facts import switched_runs
@@ -23,17 +21,8 @@ def residual_of(offsets: np.ndarray, rng: np.random.Generator) -> SimpleNamespac
 
 def test_a_field_that_is_on_in_some_runs_makes_two_levels():
     on = np.isin(np.arange(RUNS), (3, 4, 6))
-    found, p = switched_runs(residual_of(np.outer(on, [3.0, -2.0]), np.random.default_rng(0)))
-    assert found == (3, 4, 6)
-    assert p < 1e-3
-
-
-@pytest.mark.parametrize("size", [0.0, 0.5])
-def test_runs_that_scatter_are_two_levels_as_often_as_stated(size):
-    rng = np.random.default_rng(1)
-    p = [switched_runs(residual_of(size * rng.standard_normal((RUNS, 2)), rng))[1] for _ in range(200)]
-    assert binomtest(sum(x < 0.05 for x in p), len(p), 0.05).pvalue > 1e-3
+    assert switched_runs(residual_of(np.outer(on, [3.0, -2.0]), np.random.default_rng(0))) == (3, 4, 6)
 
 
 def test_few_runs_have_no_levels():
-    assert switched_runs(residual_of(np.zeros((4, 2)), np.random.default_rng(2))) == ((), 1.0)
+    assert switched_runs(residual_of(np.zeros((4, 2)), np.random.default_rng(2))) == ()

@@ -80,7 +80,7 @@ def validated(after: float, rest: LackOfFit) -> SimpleNamespace:
     end = object()
     return SimpleNamespace(
         named=True, metric=after, before=SimpleNamespace(metric=4e-6), base=end, end=end, rest=rest,
-        floor=FLOOR, error=0.0, dropped=(),
+        floor=FLOOR, error=0.0,
     )  # fmt: skip
 
 
