@@ -1,6 +1,6 @@
 """Selection: a greedy search that screens the catalogue, refits promising effects and keeps the best."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -17,21 +17,16 @@ from hallsym.diagnosis.residuals import NIL, Base
 from hallsym.diagnosis.scores import Score, Screen, by_name, candidates
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.survey import Survey, memory_of_recording, spectrum_peak, survey
-from hallsym.model import Effect, Facts, Model
+from hallsym.model import Effect, Facts
 
 
 @dataclass(frozen=True, eq=False)
 class Exact:
-    """An effect refitted exactly.
-
-    Of a selected one, `squares_before`: whitened squares without it; `rivals`: the others that were refitted
-    in its place.
-    """
+    """An effect refitted exactly; of a selected one, `rivals`: the others that were refitted in its place."""
 
     score: Score
     fit: Refitted
     bic: float
-    squares_before: float = np.inf
     rivals: tuple["Exact", ...] = ()
 
     @property
@@ -66,42 +61,27 @@ def refitted(
             break
         again = [s for s in scored if s.effect is first.effect and s.gain >= policy.half * first.gain]
         starts = again[: policy.starts] if first.variant.tried > 1 else [first]
-        found = [_exact(base, score, runs, screen.refits) for score in starts]
+        fits = [screen.refits.get(s.model) or refit(with_model(base, s.model), runs) for s in starts]
+        found = [Exact(s, fit, fit.bic(s.size)) for s, fit in zip(starts, fits, strict=True)]
         possible = (e for e in found if e.score.effect.possible(e.fit.base.values))
         best = min(possible, key=lambda e: e.bic, default=None)
         if best is not None and stands(best):
             out.append(best)
-    if not any(worth(e.score) for e in out):
-        return []
-    return ordered(out, scored, worth)
-
-
-def _exact(base: Base, score: Score, runs: Sequence[int], known: Mapping[Model, Refitted]) -> Exact:
-    fit = known.get(score.model) or refit(with_model(base, score.model), runs)
-    return Exact(score, fit, fit.bic(score.size))
+    return ordered(out, scored) if any(worth(e.score) for e in out) else []
 
 
 # -- the order ---------------------------------------------------------------------------------------------
 
 
-def ordered(exact: Sequence[Exact], scored: Sequence[Score], worth: Callable[[Score], bool]) -> list[Exact]:
-    """Order exact refits, best first; those that are not `worth` it behind those that are."""
-    first = _simpler_first(sorted(exact, key=lambda e: e.bic), scored)
-    counted = [e for e in first if worth(e.score)]
-    return counted + [e for e in first if not worth(e.score)]
-
-
-def _simpler_first(exact: list[Exact], scored: Sequence[Score]) -> list[Exact]:
-    """Put an effect with fewer parameters first if it explains nearly as much as the best one.
+def ordered(exact: Sequence[Exact], scored: Sequence[Score]) -> list[Exact]:
+    """Order one or more exact refits by BIC; first a smaller effect if it explains nearly as much.
 
     Real machines have small imperfections of every kind. Many parameters absorb some of them, which with
     enough samples is significant but no evidence. The best effect stays first if it has a variant with as few
     parameters that explains as much. Of two effects that fit equally well on this log, the one with fewer
     searched numbers goes first, then the one that is first in the catalogue.
     """
-    if not exact:
-        return exact
-    best = exact[0]
+    best, *_ = exact = sorted(exact, key=lambda e: e.bic)
     simpler = [e for e in exact[1:] if _simpler(e, best, scored)]
     if simpler:
         return _first(min(simpler, key=lambda e: (e.score.size, e.bic)), exact)
@@ -237,7 +217,7 @@ def select(setup: Setup) -> "Selection":
     start = refit(setup.base, setup.runs)
     search = Selection(setup, start, start, {(): start})
     search.grow()
-    if len(search.effects) > 1 and search.reconsider():
+    if search.reconsider():
         search.grow()
     if setup.base.sliced:
         search.confirm()
@@ -312,7 +292,7 @@ class Selection:
             self.last = self.screened[-1].scores
             if not exact or not worth(exact[0].score):
                 break
-            self.effects.append(_selected(exact, self.fit))
+            self.effects.append(replace(exact[0], rivals=tuple(exact[1:])))
             self.fit = exact[0].fit
 
     def worth(self, score: Score, beside: int) -> bool:
@@ -400,20 +380,18 @@ class Selection:
         return keeps and not cancels(exact.fit, new)
 
     def reconsider(self) -> bool:
-        """Test each effect against the catalogue, the others in place; return whether any was replaced."""
-        before, replaced = [f.name for f in self.effects], False
-        for k, effect in enumerate(self.effects):
-            if k + 1 == len(before) and not replaced:
-                break  # the last was chosen with the others in place
+        """Test each effect but the last, which was, with the others in place; return whether one is replaced.
+
+        So the rivals of each, with which it may be confusable, are refitted with the others in place too.
+        """
+        before = [e.name for e in self.effects]
+        for k, effect in enumerate(self.effects[:-1]):
             if self.over():
                 break
-            without = self.without(effect)
-            exact = self.step(without)
-            if exact:
-                self.effects[k] = _selected(exact, without)
+            if exact := self.step(self.without(effect)):
+                self.effects[k] = replace(exact[0], rivals=tuple(exact[1:]))
                 self.fit = exact[0].fit
-                replaced |= exact[0].name != effect.name
-        return [f.name for f in self.effects] != before
+        return [e.name for e in self.effects] != before
 
     def confirm(self) -> None:
         """For slices of one recording, test the effects again by the autocorrelation of the final residual.
@@ -452,17 +430,11 @@ class Selection:
         """Alternatives that some runs might have selected: one effect left out, or another in its place."""
         out: list[Refitted] = []
         for e in self.effects:
-            without = self.without(e)
-            out.append(without)
-            if np.isclose(e.squares_before, without.cost):  # else the rivals were refitted beside others
-                out += [r.fit for r in e.rivals]
+            out.append(self.without(e))
+            rest = {other.name for other in self.effects} - {e.name}
+            out += [r.fit for r in e.rivals if rest <= set(r.fit.base.model.effects)]
         return out
 
     def screened_at(self, base: Base) -> Screen | None:
         """Return the last screening of the catalogue at a fit; None where there was none."""
         return next((s for s in reversed(self.screened) if s.base is base), None)
-
-
-def _selected(exact: Sequence[Exact], without: Refitted) -> Exact:
-    """Return the first of the effects that were refitted for a place, with the others as its rivals."""
-    return replace(exact[0], squares_before=without.cost, rivals=tuple(exact[1:]))
