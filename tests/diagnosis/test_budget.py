@@ -41,13 +41,6 @@ def test_the_search_ends_where_the_clock_says_so(monkeypatch: pytest.MonkeyPatch
     assert sum("The search stopped after 50 s" in n for n in found.notes) == 1
 
 
-@pytest.mark.slow
-def test_a_search_that_is_done_in_time_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(preparing, "perf_counter", lambda: 0.0)
-    found = diagnose(read_log(CAMPAIGN), "stage31", budget=1)
-    assert not any("stopped" in n for n in found.notes)
-
-
 def test_a_negative_budget_is_refused() -> None:
     with pytest.raises(hallsym.InputError, match="budget of diagnose must be 0 s or more"):
         diagnose(read_log(CAMPAIGN), budget=-1)

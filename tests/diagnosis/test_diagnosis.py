@@ -9,7 +9,6 @@ from twins import record, with_noise
 
 import hallsym
 from hallsym.diagnosis import POLICY, Base, Diagnosis, diagnose, load_effects
-from hallsym.diagnosis.curves import lack_of_fit
 from hallsym.diagnosis.facts import instants, rails_of, steps
 from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.p_values import beyond, statistic_at
@@ -207,20 +206,6 @@ def test_many_runs_are_pooled_and_change_nothing_of_the_sums() -> None:
 
 def fitted(log: Log) -> Base:
     return base_of(log, hallsym.fit(log, "stage31", solver="direct", accept=["all"]))
-
-
-@pytest.mark.slow
-def test_structure_sees_a_curve_and_the_runs_gains_and_nothing_in_noise(quiet: tuple[Log, Diagnosis]) -> None:
-    base = fitted(quiet[0])
-    runs = [r for r in base.log.runs if r not in base.holdout]
-    assert max(s.drop for s in lack_of_fit(base, runs).shapes) < 0.02
-    rng = np.random.default_rng(7)
-    bump = fitted(machine("raster", (unlisted(rng)["bump"],), seed=7, thin=6))
-    best = lack_of_fit(bump, runs).best(0.01)
-    assert best is not None
-    assert best.name == "the reading itself"
-    own = lack_of_fit(fitted(machine("grid", (unlisted(rng)["run_gain"],), seed=7)), range(57))
-    assert own.shapes[0].name == "gain of its own"
 
 
 @pytest.mark.slow

@@ -75,15 +75,6 @@ def test_few_judges_give_no_interval_and_a_repair_scales_it():
 
 
 @pytest.mark.slow
-def test_what_is_named_shrinks_the_gap_on_the_held_out_runs():
-    found = diagnose(turn(pattern=1.5e-3, noise=7e-4), "rotary")
-    assert [e.name for e in found.effects] == ["reference_pole_pairs"]
-    assert found.effects[0].interval[0] > 0
-    named = {e.name for e in found.effects}
-    assert not named & {s.name for s in found.smaller_findings}
-
-
-@pytest.mark.slow
 def test_a_wave_that_is_nil_at_every_knot_stays_at_its_nominal_value():
     """200 knots sample 100 waves at their crossings: the sine is 0 at each of them."""
     examined = examine(prepare(turn(pattern=1.5e-3), "rotary_ideal"))

@@ -17,7 +17,6 @@ from hallsym.families.rotary import FAMILY as ROTARY_FAMILY
 from hallsym.families.rotary import effects as rotary_effects
 from hallsym.families.rotary import models as rotary
 from hallsym.log import Log, Meta, Noise
-from hallsym.model import Facts
 from hallsym.model.derived import Stretch
 from hallsym.report.views import summary
 
@@ -155,26 +154,6 @@ def test_angles_of_an_encoder_are_read_in_degrees():
     assert shown(2 * np.pi, "rad/s") == "60 rpm"
 
 
-# -- one recording ---------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_an_overdriven_resolver_and_its_latency():
-    """One turn forward and back at 1 rad/s, channels clipped before atan2, old readings."""
-    t = np.arange(0, 2 * TURN, 0.01)
-    shaft = np.where(t < TURN, t, 2 * TURN - t)
-    u = shaft - 0.03 * np.where(t < TURN, 1.0, -1.0)
-    angle = np.arctan2(np.clip(np.sin(u), -0.7, 0.7), np.clip(np.cos(u), -0.7, 0.7))
-    angle = angle + np.random.default_rng(3).normal(0, 2e-4, len(t))
-    found = diagnose(Log.from_arrays({"t_s": t, "angle_rad": angle, "angle_ref_rad": shaft}), "ideal_arctan")
-    effects = {e.name: e for e in found.effects}
-    assert found.effects[0].name == "saturation"
-    assert effects["saturation"].parameters["rail"].value == pytest.approx(0.7, abs=0.01)
-    assert any("hysteresis" in g for g in found.groups)  # one speed: play is as good as a delay
-    delay = effects.get("time_skew") or effects.get("first_order_lag")
-    assert next(iter(delay.parameters.values())).value == pytest.approx(0.03, abs=2e-3)
-
-
 # -- the effects themselves ------------------------------------------------------------------------------
 
 
@@ -226,35 +205,6 @@ def test_direction_turns_over_after_a_reversal():
     assert np.allclose(z[5:90], 1.0)
     assert np.allclose(z[112:], -1.0)
     assert z[0] == 1.0
-
-
-def test_every_effect_of_the_catalogue_moves_a_reading():
-    """No parameter without a derivative somewhere, at its own nominal value or with the others at 0.01."""
-    for layout in (None, rotary.angle_only()):
-        for model in (rotary.rotary_ideal(layout), rotary.rotary(layout)):
-            for effect in CATALOGUE:
-                for variant in effect.variants(model, facts()):
-                    wide = rotary_effects.direct(variant.make(model))
-                    new = [p.name for p in wide.parameters if p.name not in model.names]
-                    p = wide.vector({n: 0.02 for n in new if "share" not in n})
-                    state = np.array([np.linspace(0.4, 1.9, 400)] * len(wide.state)).reshape(
-                        len(wide.state), 400
-                    )
-                    base = np.array(wide.reading(p, [], ANGLES[None], state))
-                    for n in new:
-                        moved = p.copy()
-                        moved[wide.names.index(n)] += 1e-3
-                        there = np.array(wide.reading(moved, [], ANGLES[None], state))
-                        if model.channels == rotary.ANGLE and n == "reference_voltage_fluctuation0_sin":
-                            continue
-                        assert np.abs(there - base).max() > 1e-9, (effect.name, variant.label, n)
-
-
-def facts():
-    return Facts(
-        100.0, ("t_s", "temperature_degc"), 22.0, np.array([[0.9, 0.9], [-0.9, -0.9]]),
-        ((-0.9, 0.9), (-0.9, 0.9)), (50.0,), on_runs=(1, 2),
-    )  # fmt: skip
 
 
 @pytest.mark.parametrize("layout", [None, rotary.angle_only()], ids=["voltages", "angle"])

@@ -13,7 +13,7 @@ from hallsym.estimation.covariance import Uncertainty, uncertainty
 from hallsym.estimation.identifiable import Determination, determine
 from hallsym.estimation.likelihood import Cost
 from hallsym.estimation.optimum import refit
-from hallsym.inference.profiles import normal_enough, profile, skewness, tangent
+from hallsym.inference.profiles import normal_enough, profile, skewness
 from hallsym.model import Model
 from hallsym.model.model import Quantity, combination, linear, parameter
 
@@ -48,9 +48,6 @@ def rise_at(cost: Cost, p: np.ndarray, held, name: str, value: float) -> float:
     for _ in range(2):
         at = refit(cost, at, (*held, k))
     return cost.at(at).value - cost.at(p).value
-
-
-# -- quantities ------------------------------------------------------------------------------------------
 
 
 # -- profiles --------------------------------------------------------------------------------------------
@@ -195,85 +192,3 @@ def test_near_a_bound_the_normal_interval_will_not_do():
     assert not normal_enough(quick)
     cost, p, found, e = paper()
     assert normal_enough(skewness(cost, p, parameter(MODEL, "eta_B"), found=found, std=e.std[k]))
-
-
-# -- another implementation ------------------------------------------------------------------------------
-
-
-def reduced(cost: Cost, p: np.ndarray, free: list[int], arms: list[Quantity], std: np.ndarray):
-    """F / 2 and its gradient in full-rank coordinates, in units of `std` from the optimum.
-
-    Coordinates are the free parameters, the lever arms in place of the H that are free. An arm is linear in
-    its own H, so one Newton step turns coordinates into parameters.
-    """
-    H = [k for k in free if MODEL.names[k].startswith("H")]
-    at_p = np.array([arm.first(p)[0] for arm in arms])
-    base = cost.at(p).value
-
-    def parameters(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        out = p.copy()
-        out[free] += x * std
-        out[H] = p[H]
-        wanted = at_p + (x * std)[[free.index(k) for k in H]]
-        values, slopes = zip(*(arm.first(out) for arm in arms), strict=True)
-        out[H] += np.linalg.solve(np.array(slopes)[:, H], wanted - values)
-        G = np.eye(len(p))
-        G[H] = [arm.first(out)[1] for arm in arms]
-        return out, G[np.ix_(free, free)]
-
-    def fun(x: np.ndarray) -> float:
-        return 0.5 * (cost.at(parameters(np.asarray(x))[0]).value - base)
-
-    def grad(x: np.ndarray) -> np.ndarray:
-        at, G = parameters(np.asarray(x))
-        gradient = cost.weights @ cost.at(at).run_gradients
-        return 0.5 * std * np.linalg.solve(G.T, gradient[free])
-
-    return fun, grad
-
-
-def ends_of(values: np.ndarray, ratios: np.ndarray) -> list[float]:
-    """Where the likelihood ratio of a profile meets chi2: the root of the rise is a line between points."""
-    root = np.sqrt(-2.0 * np.log(np.minimum(ratios, 1.0))) * np.sign(values - values[np.argmax(ratios)])
-    return [float(np.interp(aim, root, values)) for aim in (-np.sqrt(THRESHOLD), np.sqrt(THRESHOLD))]
-
-
-def pypesto_profiles(fun, grad, lower: np.ndarray, upper: np.ndarray, which: list[int]) -> list[list[float]]:
-    """Ends of the intervals of the coordinates `which` by pyPESTO."""
-    dim = len(lower)
-    optimize = pytest.importorskip("pypesto.optimize", reason="the test extra is not installed")
-    import pypesto
-    from pypesto.profile import ProfileOptions, parameter_profile
-
-    problem = pypesto.Problem(pypesto.Objective(fun=fun, grad=grad), lb=lower, ub=upper)
-    optimizer = optimize.ScipyOptimizer(
-        method="L-BFGS-B", options={"ftol": 1e-11, "gtol": 1e-7, "maxiter": 2000}
-    )
-    at = pypesto.OptimizerResult(id="0", x=np.zeros(dim), fval=fun(np.zeros(dim)), x0=np.zeros(dim))
-    result = pypesto.Result(problem)
-    result.optimize_result.append(at)
-    parameter_profile(
-        problem, result, optimizer, profile_index=which, progress_bar=False, profile_options=ProfileOptions()
-    )
-    paths = result.profile_result.list[0]
-    return [ends_of(paths[k].x_path[k], paths[k].ratio_path) for k in which]
-
-
-@pytest.mark.slow
-def test_profiles_agree_with_pypesto():
-    """Lopsided intervals of a gain, a slope and a lever arm: ends to 3 digits of the half-width."""
-    cost, p, found, _ = noisy()
-    free = [k for k in range(len(p)) if k not in found.fixed]
-    arms = [combination(MODEL, c) for c in MODEL.combinations]
-    quantities = [parameter(MODEL, MODEL.names[k]) for k in free]
-    for arm in arms:
-        (k,) = (k for k in free if MODEL.names[k].startswith("H") and arm.first(p)[1][k] != 0)
-        quantities[free.index(k)] = arm
-    std = np.array([tangent(cost, p, q, found).std for q in quantities])
-    which = [free.index(MODEL.names.index("eta_C")), free.index(MODEL.names.index("a_B")), 0]
-    lower, upper = ((bound - p)[free] / std for bound in MODEL.bounds)
-    lower, upper = np.maximum(lower, -8.0), np.minimum(upper, 8.0)
-    theirs = pypesto_profiles(*reduced(cost, p, free, arms, std), lower, upper, which)
-    for k, ends in zip(which, theirs, strict=True):
-        ours = profile(cost, p, quantities[k], found=found)
-        assert (np.array(ours.interval) - ours.value) / std[k] == pytest.approx(ends, rel=1e-3)
