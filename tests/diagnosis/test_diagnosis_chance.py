@@ -8,18 +8,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gap_twins import faulty, machine
+from gap_twins import machine
 from scipy import stats
 from test_stacked_products import whitened
 
 import hallsym
-from hallsym.diagnosis import POLICY, Base
-from hallsym.diagnosis.faults import assignment_p, assignments, exceeds, faults, of_samples
+from hallsym.diagnosis import Base
+from hallsym.diagnosis.faults import assignment_p, assignments, exceeds
 from hallsym.diagnosis.normal_equations import Columns, normal_equations
-from hallsym.diagnosis.p_values import as_often
 from hallsym.diagnosis.scores import candidates
 from hallsym.diagnosis.setup import base_of
-from hallsym.diagnosis.survey import Survey, survey
 from hallsym.estimation.decoding import columns_of
 from hallsym.families import effects
 from hallsym.families.recording import Correction, corrected
@@ -28,11 +26,6 @@ from hallsym.log import Log, batches
 from hallsym.model import Facts
 
 CATALOGUE = tuple(e for e in effects(STAGE_FAMILY).values() if e.diagnosed)
-TESTED = 30
-
-
-def p_values(found: Survey) -> dict[str, float]:
-    return {f.name: f.p_value for f in of_samples(found, POLICY)} | {"adc_quantisation": found.step_p}
 
 
 def fitted(log: Log) -> Base:
@@ -44,11 +37,6 @@ def quiet() -> Base:
     return fitted(machine("multisine", seed=5, thin=6))
 
 
-def test_probabilities_are_those_of_scipy() -> None:
-    assert as_often(9, 12, 0.3) == pytest.approx(stats.binom.sf(8, 12, 0.3))
-    assert as_often(0, 5, 0.5) == 1.0
-
-
 @pytest.mark.parametrize("weight", [4, 8, 30])
 def test_tails_follow_from_the_body_of_heavy_noise(weight: int) -> None:
     rng = np.random.default_rng(weight)
@@ -58,19 +46,6 @@ def test_tails_follow_from_the_body_of_heavy_noise(weight: int) -> None:
     assert 1e-4 < exceeds(values, 2, limit, white) < 2e-4  # at the upper end of what the body says
     gaussian = rng.chisquare(2, 100_000)
     assert 1e-4 < exceeds(gaussian, 2, stats.chi2.isf(1e-4, 2), white) < 2e-4
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["outliers", "dropped_samples", "clock_jitter", "adc_quantisation"])
-def test_p_values_of_faults_come_from_the_samples(name: str) -> None:
-    log = machine("multisine", (faulty(np.random.default_rng(1))[name],), seed=1)
-    base = fitted(log)
-    found = survey(base, frozenset(base.log.runs))
-    first = faults(base, found, TESTED)[0]
-    assert (first.name, first.p_value < 1e-4) == (name, True)
-    # less of the log is less certain
-    part = survey(base, frozenset(base.log.runs[:1]))
-    assert p_values(part).get(name, 1.0) >= p_values(found)[name]
 
 
 def test_exchanged_channels_are_certain_and_the_right_order_is_not(quiet: Base) -> None:
