@@ -85,7 +85,4 @@ def test_a_coarser_accuracy_takes_fewer_steps_of_cordic():
         assert accuracy / 65 < turns.angle_error(2.0**40, steps) - steps * turns.UNIT / 2 < accuracy / 31
 
 
-# -- the C itself --------------------------------------------------------------------------------------------
-
-
 # -- options -------------------------------------------------------------------------------------------------
