@@ -72,6 +72,9 @@ def lines_of(name: str, fields: Mapping[str, Any]) -> list[str]:
             out += [f"{alone[1]}{row}" if row else "" for row in rows]
         else:
             line = FIELD.sub(lambda found: str(fields[found[1].lower()]), line)
-            records = [record.__getitem__ for record in fields[each[1]]] if each else [str]
-            out += [RECORD.sub(lambda found, of=of: str(of(found[2])), line) for of in records]
+            out += [_of(record, line) for record in fields[each[1]]] if each else [line]
     return out
+
+
+def _of(record: Mapping[str, Any], line: str) -> str:
+    return RECORD.sub(lambda found: str(record[found[2]]), line)

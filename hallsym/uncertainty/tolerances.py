@@ -188,7 +188,7 @@ def tolerances(
     the nominal values, without calibration, noise or zero deviations. `where`: campaign or
     workspace over which errors count (default: the paper's campaign). `ranges`: see `given_tolerances`;
     default: nominal value +- half the width of the model's bounds. `samples`: base samples of Saltelli's
-    design, a power of two; 3 n + 2 times as many machines are drawn for n tolerances. The same seed gives the
+    design, a power of two; 2 n + 2 times as many machines are drawn for n tolerances. The same seed gives the
     same numbers.
 
     Raises `InputError` for an unknown parameter or unit and a tolerance that is not positive.
