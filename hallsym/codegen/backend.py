@@ -775,9 +775,12 @@ FAULTY = f"(status & {status_bit(FAULT)}) != 0U"
 """Condition, in C, of readings that contradict one another."""
 
 
-def raised(condition: str, flag: str) -> list[str]:
-    """Return C that sets the bit of a flag where a condition holds."""
-    return [f"if ({condition})", "{", f"    status |= {status_bit(flag)};", "}"]
+def raised(conditions: Mapping[str, str]) -> list[str]:
+    """Return C that sets the bit of each flag where its condition holds."""
+    each = [
+        [f"if ({held})", "{", f"    status |= {status_bit(flag)};", "}"] for flag, held in conditions.items()
+    ]
+    return [line for lines in each for line in lines]
 
 
 def _joined(entries: Sequence[Stored]) -> bytes:

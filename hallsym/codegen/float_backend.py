@@ -336,7 +336,6 @@ class FloatBackend(Backend):
         last = d.steps[-len(d.pose) :]
         results = {s.name: f"out->{identifier(c)}" for s, c in zip(last, d.pose, strict=True)}
         body = statements(d.steps, names, real, results)
-        flags = [line for f in d.flags for line in backend.raised(f"!({f.step} >= p->{f.least})", f.name)]
         most = {identifier(c): real.constant(d.known(c)) for c in d.pose}
         known = [f"((pose->{c} >= -{far}) && (pose->{c} <= {far}))" for c, far in most.items()]
         slopes: list[str] = []
@@ -376,7 +375,7 @@ class FloatBackend(Backend):
             "within": within,
             "held": self._clamped(d.folded),
             "body": body,
-            "flags": flags,
+            "flags": backend.raised({f.name: f"!({f.step} >= p->{f.least})" for f in d.flags}),
             "jacobian": self._if_jacobian("jacobian.c", {"slopes": slopes}),
             "known_within": "\n        && ".join(known),
             **self._predict(common),

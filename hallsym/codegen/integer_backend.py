@@ -253,9 +253,9 @@ class IntegerBackend(Backend):
             "known_bit": [] if p.angles else [KNOWN_BIT],
             # build files
             "deviations": [
-                *([backend.UNION] if self._check()["number_at"] else []),
+                *[backend.UNION] * bool(common["number_at"]),
                 backend.STEP,
-                *([SHIFTS] if p.shifts else []),
+                *[SHIFTS] * p.shifts,
             ],
             "cpu": "-mcpu=cortex-m0 -mthumb",
             "machine": "microbit",
@@ -264,9 +264,7 @@ class IntegerBackend(Backend):
             "products": sum(line.operation == "mul" for line in p.lines),
             "pose_names": ", ".join(short(c) for c in d.pose),
         }
-        for part in (self._step(common), self._selftest(), self._proofs()):
-            common |= part
-        return common
+        return common | self._step(common) | self._selftest() | self._proofs()
 
     # -- step, check ---------------------------------------------------------------------------------------
 
@@ -276,17 +274,10 @@ class IntegerBackend(Backend):
         clamped = []
         for port in self.inputs:
             c, name = port.column, short(port.column)
-            low, high = ends(d, c)
-            call = f"limited(in->{port.member}, {low}, {high}, {backend.bit(c)}, &status);"
-            if c in p.angles:
-                clamped.append(f"const uint32_t {name} = in->{port.member};")
-            else:
-                clamped.append(f"const int32_t {name} = {call}" if name in used else f"(void){call}")
-        flags = [
-            line
-            for name, (seen, least) in p.flags.items()
-            for line in backend.raised(f"{seen} < p->{least}", name)
-        ]
+            call = f"limited(in->{port.member}, {', '.join(ends(d, c))}, {backend.bit(c)}, &status);"
+            call = f"in->{port.member};" if c in p.angles else call
+            kept = c in p.angles or name in used
+            clamped.append(f"const {port.type} {name} = {call}" if kept else f"(void){call}")
         names = {e.name: f"p->{e.name}" for e in self.numbers}
         known = [f"(pose->{identifier(c)} >= -{KNOWN}) && (pose->{identifier(c)} <= {KNOWN})" for c in d.pose]
         zero = "take_zero_of_angle.c" if p.angles else "take_zero.c"
@@ -303,7 +294,7 @@ class IntegerBackend(Backend):
             "status": ["uint32_t status = 0U;"] if can_fail else [],
             "held": clamped,
             "body": p.c(names),
-            "flags": flags,
+            "flags": backend.raised({f: f"{seen} < p->{least}" for f, (seen, least) in p.flags.items()}),
             "returned": "status" if can_fail else "0U",
             "but_for_faults": " but of a sample that is decoded without a reading" if d.mends else "",
             **self._checked(secant),
