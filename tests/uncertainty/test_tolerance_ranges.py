@@ -51,6 +51,7 @@ def test_draws_have_the_standard_uncertainty(distribution):
     t = Tolerance("H1x", "m", 1.0, 1.0, 0.3, distribution)
     u = (np.arange(100_000) + 0.5) / 100_000
     assert (t.at(u).mean(), t.at(u).std()) == pytest.approx((1.0, t.std), rel=1e-3)
+    assert np.all(np.diff(t.at(u)) > 0)
 
 
 @pytest.mark.parametrize(
