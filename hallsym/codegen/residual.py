@@ -101,7 +101,7 @@ def left_names(rows: np.ndarray, names: Sequence[str]) -> list[str]:
     return ["left_of_all"] if len(rows) == 1 else [f"left_{n}" for n in names[: len(rows)]]
 
 
-def contradictions(
+def left_over(
     made: Collected, rows: np.ndarray, readings: Mapping[str, ca.SX], remark: str
 ) -> Redundancy | None:
     """Add rows (1 or n, n) of readings by name, which are 0 where these agree; None without rows."""

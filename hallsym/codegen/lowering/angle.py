@@ -146,7 +146,7 @@ class _Assembly(Collected):
         if len(off) > 2:
             named = dict(zip(map(short, self.curve.model.channels), off, strict=True))
             about = "off the plane of the ellipse"
-            self.redundancy = residual.contradictions(self, self.curve.spare, named, about)
+            self.redundancy = residual.left_over(self, self.curve.spare, named, about)
             return
         self.step("beside", self.symbols["field"] - 1.0, "[1] of the circle that both voltages lie on")
         self.redundancy = residual.summed(self, [Watched("beside", (0, 1))])

@@ -100,7 +100,6 @@ class Assembly:
     waves: tuple[Wave, ...]
     given: Box
     made: Collected = field(default_factory=Collected)
-    _unwrapped: dict[int, bool] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         """Name the arrays: x_1, x_2, y_1, y_2; begin the steps, and their trial over poses of the box."""
@@ -172,12 +171,8 @@ class Assembly:
 
         Then the place is that phase times lc: nothing to wrap, and no mean of the arrays is needed for it.
         """
-        if axis not in self._unwrapped:
-            found, first = self.found, self.found.axes[axis][0]
-            far = np.abs(np.angle(found.swept[first])).max() < WITHIN * pi
-            far = far and abs(np.angle(found.at_middle[first])) * found.groups[first].phasor.lc < LOST
-            self._unwrapped[axis] = bool(far and not self.wide(axis))
-        return self._unwrapped[axis]
+        phase = np.abs(np.angle(self.found.swept[self.found.axes[axis][0]])).max()
+        return not self.wide(axis) and bool(phase < WITHIN * pi)
 
     def least(self) -> None:
         """Add what the flag of the field looks at: the least of 1 - t^2 over the arrays."""
@@ -189,17 +184,6 @@ class Assembly:
         made.step(f"least_to_{names[-1]}", 1.0 - value)  # to the last bit
 
     # -- places and heights --------------------------------------------------------------------------------
-
-    def heights(self, logs: Sequence[ca.SX]) -> list[ca.SX]:
-        """Heights from those in the middle of the box, over lc and without sign: logarithms."""
-        out = []
-        for k, (group, seen) in enumerate(zip(self.found.groups, logs, strict=True)):
-            value = float(np.log(np.abs(self.found.at_middle[k])))
-            if abs(value) * group.phasor.lc >= LOST:
-                about = "logarithm in the middle of the box"
-                seen = seen - self.made.entry(f"log_{self.names[k]}_middle", value, "1", about)
-            out.append(self.made.step(f"deep_{self.names[k]}", seen))
-        return out
 
     def places(self, vectors: Sequence[Pair]) -> list[ca.SX]:
         """For each axis: mean place [m] from the middle, then turns of the other arrays from the first."""
@@ -223,25 +207,16 @@ class Assembly:
     def _in_period(self, axis: int, name: str, place: ca.SX, lc: float) -> ca.SX:
         """The place from the middle of the box, in the period that is meant."""
         made, column = self.made, short(self.found.model.pose[axis])
-        u = self.found.at_middle[self.found.axes[axis]]
-        at = lc * float(np.angle(u[0]) + np.angle(u * u[0].conj()).mean())
         whole = made.entry(f"wavelength_{name}", 2 * pi * lc, "m", "wavelength", "sign")
-        from_middle = place
-        if abs(at) > LOST:
-            middle = made.entry(f"place_{name}_middle", at, "m", "place in the middle of the box")
-            from_middle = place - middle
-        from_middle = made.step(f"from_middle_{name}", from_middle)
         if not self.wide(axis):
             half = made.entry(f"half_wave_{name}", pi * lc, "m", "half the wavelength", "sign")
-            beyond = made.step(f"next_{name}", from_middle - ca.if_else(from_middle < 0, -whole, whole))
-            return made.step(
-                f"along_{name}", ca.if_else(ca.fabs(from_middle) <= half, from_middle, beyond), "[m]"
-            )
+            beyond = made.step(f"next_{name}", place - ca.if_else(place < 0, -whole, whole))
+            return made.step(f"along_{name}", ca.if_else(ca.fabs(place) <= half, place, beyond), "[m]")
         per = made.entry(f"per_wave_{name}", 1 / (2 * pi * lc), "1/m", "periods per metre", "sign")
         center = made.entry(f"{column}_middle", float(self.found.middle[axis]), "m", "middle of the box")
-        away = (made.symbols[f"{column}_near_m"] - center) - from_middle
+        away = (made.symbols[f"{column}_near_m"] - center) - place
         number = wave_steps.periods_steps(made, away * per, f"_{name}", "periods to the known place")
-        return made.step(f"along_{name}", from_middle + whole * number, "[m]")
+        return made.step(f"along_{name}", place + whole * number, "[m]")
 
     # -- the pose ------------------------------------------------------------------------------------------
 
@@ -251,7 +226,7 @@ class Assembly:
         out = []
         for members in self.found.axes.values():
             out += [f"along_{self.names[members[0]]}", *(f"turn_{self.names[k]}" for k in members[1:])]
-        return [*out, *(f"deep_{n}" for n in self.names)]
+        return [*out, *(f"log_{n}" for n in self.names)]
 
     @cached_property
     def matrix(self) -> np.ndarray:
@@ -296,7 +271,7 @@ class Assembly:
             if len(turns) and i in self.found.axes:
                 own = [self.names[k] for k in self.found.axes[i]]
                 other = [k for k, label in enumerate(labels)
-                         if label.startswith("deep_") or label.partition("_")[2] not in own]  # fmt: skip
+                         if label.startswith("log_") or label.partition("_")[2] not in own]  # fmt: skip
                 seen_by = matrix[:, other] * spread[other]  # of labels that other axes, or heights, say
                 turns, *_ = np.linalg.lstsq(seen_by[3:].T, seen_by[i], rcond=LEAST_SHARE)
                 row = row - turns @ matrix[3:]
@@ -381,14 +356,14 @@ class Assembly:
         for members in found.axes.values():
             places = [made.step(f"tilted_{self.names[k]}", sums[k], "[rad] of a tilt") for k in members]
             lc = made.symbols[f"lc_{self.names[members[0]]}"]
-            mean = sum(places[1:], start=places[0]) * (1.0 / len(members))
-            if self.unwrapped(found.groups[members[0]].axis):
-                mean = places[0]
+            mean = places[0]
+            if not self.unwrapped(found.groups[members[0]].axis):
+                mean = sum(places[1:], start=mean) * (1.0 / len(members))
             out[f"along_{self.names[members[0]]}"] = lc * mean
             for k, place in zip(members[1:], places[1:], strict=True):
                 out[f"turn_{self.names[k]}"] = place - places[0]
         for k in range(n):
-            out[f"deep_{self.names[k]}"] = sums[n + k]
+            out[f"log_{self.names[k]}"] = sums[n + k]
         return out
 
     def _kind(self, k: int, kind: str, vectors: Sequence[Pair]) -> Pair:
@@ -529,7 +504,7 @@ class Assembly:
         ]
         wave_steps.least_inside(self.made, self.waves)
         self.least()
-        seen = [*self.places(vectors), *self.heights(logs)]
+        seen = [*self.places(vectors), *logs]
         self.spread = self.spread_of(self.labels)
         return self.pose(seen, self.turning(vectors))
 
@@ -608,8 +583,6 @@ TILT = 1.1
 """Times the largest rotation of the box beyond which the flag of the pose is set."""
 WITHIN = 0.98
 """Share of a period that a box may span where no input says which period it is."""
-LOST = 1e-12
-"""Displacement [m] that is rounding of the analysis."""
 LEAST_SHARE = 1e-6
 """Share of the largest below which what a rotation does to labels is rounding of the analysis."""
 ONE = 1e-9

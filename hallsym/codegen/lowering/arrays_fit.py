@@ -92,11 +92,6 @@ class Arrays:
         return self.phasors(self.trials(2, 2000)[1])
 
     @cached_property
-    def at_middle(self) -> np.ndarray:
-        """Phasor of each array in the middle of the box (arrays,)."""
-        return np.array(self.phasors(self.readings(self.middle[:, None])))[:, 0]
-
-    @cached_property
     def _run(self) -> Callable[..., list[np.ndarray]]:
         return on_arrays(self.model.reading)
 

@@ -521,7 +521,7 @@ class _Assembly(Collected):
         model = self.taken.model
         if not self.taken.curved:
             sensed = self._sensed(bends, monomials, "") if any(bends) else self._seen()
-            self.redundancy = residual.contradictions(self, spare, sensed, LEFT)
+            self.redundancy = residual.left_over(self, spare, sensed, LEFT)
             self._product(rows, sensed, "")
             return ()
         before, named = list(self.steps), set(self.named)
@@ -532,7 +532,7 @@ class _Assembly(Collected):
             if n:
                 sensed = self._sensed(bends, _Monomials(self, source, f"_{n}"), f"_{n}")
             if n == count:
-                self.redundancy = residual.contradictions(self, spare, sensed, LEFT)
+                self.redundancy = residual.left_over(self, spare, sensed, LEFT)
             made = self._product(rows, sensed, f"_{n + 1}" if n < count else "")
             source = dict(zip(model.pose, made, strict=True))
             if self.clamped and n < count:

@@ -22,7 +22,7 @@ import numpy as np
 from hallsym.codegen import residual
 from hallsym.codegen.decoupler import Box, Collected, Decoupler, Flag, Redundancy, Watched, short
 from hallsym.codegen.lowering import wave_steps
-from hallsym.codegen.lowering.arrays import LOST, NEAR, TRIALS, Assembly, ends_and_leaves
+from hallsym.codegen.lowering.arrays import NEAR, TRIALS, Assembly, ends_and_leaves
 from hallsym.codegen.lowering.arrays_fit import Arrays, Group, check_along
 from hallsym.codegen.lowering.phasors import HARMONICS, WIDE, Phasor, Sample, Window, levelled
 from hallsym.codegen.lowering.remainders import UNKNOWNS
@@ -332,7 +332,7 @@ class _Assembly(Assembly):
     def _center(self, axis: int) -> ca.SX:
         """The middle of the box along an axis."""
         value, column = float(self.found.middle[axis]), short(self.found.model.pose[axis])
-        if abs(value) < LOST:
+        if not value:
             return ca.SX(0)
         return self.made.entry(f"{column}_middle", value, "m", "middle of the box")
 
@@ -408,7 +408,7 @@ class _Assembly(Assembly):
             log = wave_steps.logarithm_steps(made, self.waves[k], u, f"_{name}{tag}")
             place = place_steps(made, self.waves[0], u, self.at[row.axis], f"_{name}{tag}")
             away = made.step(f"along_{name}{tag}", place - self._center(row.axis), "[m] from the middle")
-            places[f"along_{name}"], logs[f"deep_{name}"] = away, log
+            places[f"along_{name}"], logs[f"log_{name}"] = away, log
         return places | logs
 
     def _first_turn(self, k: int, values: dict[str, ca.SX], tag: str) -> ca.SX:
@@ -501,7 +501,7 @@ class _Assembly(Assembly):
     @property
     def labels(self) -> list[str]:
         """Of what the pose is linear in: places, then logarithms."""
-        return [f"along_{n}" for n in self.names] + [f"deep_{n}" for n in self.names]
+        return [f"along_{n}" for n in self.names] + [f"log_{n}" for n in self.names]
 
     @property
     def matrix(self) -> np.ndarray:
