@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -61,6 +61,11 @@ def amount(column: str, value: float, periodic: Collection[str] | None = None) -
     """Return a value of a column in the unit that suits it: `1.36 um`."""
     factor, unit = scaled(column, abs(value), periodic)
     return f"{number(factor * value)} {unit}"
+
+
+def each(values: Mapping[str, float], periodic: Collection[str] | None = None) -> str:
+    """Return `x 1.36 um, y 1.54 um, Rz 2.34 urad`; `periodic` as in `hallsym.units.readable`."""
+    return ", ".join(f"{name(c)} {amount(c, v, periodic)}" for c, v in values.items())
 
 
 def largest(values: np.ndarray) -> float:

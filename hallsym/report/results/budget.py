@@ -10,8 +10,7 @@ import numpy as np
 from hallsym.output import percent
 from hallsym.report import picture as p
 from hallsym.report.content import Block, Content, Heading, Section, Table
-from hallsym.report.results.shared import each
-from hallsym.report.words import LEVEL, largest, minus, name, number, scale, sized
+from hallsym.report.words import LEVEL, each, largest, minus, name, number, scale, sized
 from hallsym.trajectory import Curve
 from hallsym.uncertainty import Budget, Comparison, Recorded, Source, UncertaintyMap
 from hallsym.units import UNITS, fitting, readable, reading_unit, typeset

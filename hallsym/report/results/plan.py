@@ -14,8 +14,7 @@ from hallsym.log import Log, as_log
 from hallsym.output import said_time
 from hallsym.report import picture as p
 from hallsym.report.content import Content, Section, Table
-from hallsym.report.results.shared import each
-from hallsym.report.words import largest, name, number, scale
+from hallsym.report.words import each, largest, name, number, scale
 from hallsym.simulation import Campaign
 
 

@@ -17,7 +17,7 @@ from hallsym.report.data.gather import Cells, RunSeries
 from hallsym.report.panels import Sizes, over_time, plane, profiles, script_data
 from hallsym.report.picture import Picture
 from hallsym.report.tables import cells, concise, heads, in_units
-from hallsym.report.words import amount, name, number
+from hallsym.report.words import number
 from hallsym.units import parameter_unit
 
 COLOURS = "The fuller the colour the larger the error; a dash marks a negative one; no cell: no samples."
@@ -43,11 +43,6 @@ def few(names: Sequence[str], most: int = 6) -> str:
 def called(path: object) -> str:
     """Return the last two parts of a log's path."""
     return "/".join(Path(str(path)).parts[-2:]) if path else "a log in memory"
-
-
-def each(values: Mapping[str, float], periodic: Collection[str] | None = None) -> str:
-    """Return `x 1.36 um, y 1.54 um, Rz 2.34 urad`; `periodic` as in `hallsym.units.readable`."""
-    return ", ".join(f"{name(c)} {amount(c, v, periodic)}" for c, v in values.items())
 
 
 # -- how large the error is ------------------------------------------------------------------------------

@@ -8,9 +8,9 @@ import numpy as np
 from hallsym.output import percent
 from hallsym.report import picture as p
 from hallsym.report.content import Block, Content, Section, Table
-from hallsym.report.results.shared import each, few
+from hallsym.report.results.shared import few
 from hallsym.report.tables import cells, heads
-from hallsym.report.words import largest, name, number, scale
+from hallsym.report.words import each, largest, name, number, scale
 from hallsym.uncertainty import ErrorModel
 from hallsym.uncertainty.tolerances import ENOUGH, MOST_SAMPLES, Tolerance, Tolerances
 from hallsym.units import fitting, parameter_unit, readable, typeset
