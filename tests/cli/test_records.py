@@ -103,6 +103,9 @@ def test_what_json_prints_is_valid(line, folder, capsys, monkeypatch):
     assert [error.message for error in check.iter_errors(found)] == []
     kinds = [schema["$defs"][each["$ref"].rpartition("/")[2]]["properties"] for each in schema["anyOf"]]
     assert any(set(found) <= {"format", *keys} for keys in kinds), "a key that no record names"
+    if command == "info":
+        assert main([command, *words]) == 0
+        assert len(capsys.readouterr().out.splitlines()) > 1
 
 
 def test_every_command_has_a_schema_and_a_line():
