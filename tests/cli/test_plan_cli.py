@@ -34,7 +34,7 @@ def test_a_plan_is_written_simulated_fitted_and_continued(run, ranges, tmp_path)
     code, out, _ = run("plan", ranges(), "--after", log, "--runs", 2, "--criterion", "max-u", "--json")
     record = json.loads(out)
     assert code == 0
-    assert record["recorded_runs"] == 8
+    assert (record["recorded_runs"], record["criterion"]) == (8, "max-u")
     assert sum(entry["count"] for entry in record["chosen"]) == record["runs"] == 2
     assert record["worst"]["std"] <= record["worst_before"]["std"]
     assert any("log.csv" in note for note in record["notes"])

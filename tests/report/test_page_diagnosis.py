@@ -141,6 +141,13 @@ def test_everything_of_a_record_is_said():
         assert words in text, words
 
 
+def test_the_picture_of_a_gap_says_sizes_and_floor():
+    picture = diagnosis_content(Diagnosis.from_dict(a_record())).picture(None)
+    assert len(picture.panels) == 6
+    assert picture.panels[0].says == "rmse x [µm]: before 3; after 1.2; noise floor 1.1"
+    assert picture.panels[3].says == "peak x [µm]: before 12; after 4.8"
+
+
 def test_no_gap_needs_no_effects():
     record = a_record()
     record |= {"verdict": "no gap", "effects": [], "ranked": [], "groups": [], "separate_by": [], "where": []}

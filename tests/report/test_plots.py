@@ -18,7 +18,7 @@ from hallsym.families.recording import Correction
 from hallsym.log import Block, Log
 from hallsym.report.data.gather import diagnosed
 from hallsym.report.data.survey import COLUMNS, Survey, Trace, held_out, look_over, settings
-from hallsym.report.drawing import DPI, WIDTH, draw, save
+from hallsym.report.drawing import DPI, WIDTH, draw, save, svg
 from hallsym.report.results import fit as plots
 from hallsym.report.words import name
 from hallsym.simulation import Campaign, NoiseModel, Run, simulate, sine
@@ -41,11 +41,15 @@ def _legends(figure) -> list[str]:
 
 
 def test_errors_by_setting_shows_every_series(fitted: Fit, survey: Survey) -> None:
-    figure = draw(plots.errors_by_setting(fitted, survey))
+    picture = plots.errors_by_setting(fitted, survey)
+    figure = draw(picture)
     labels = ["nominal", "fitted", "fitted, holdout runs", "noise floor"]
     assert _legends(figure) == labels
     assert [ax.get_ylabel() for ax in figure.axes] == ["rmse x [µm]", "rmse y [µm]", "rmse Rz [µrad]"]
     assert all(ax.get_yscale() == "log" for ax in figure.axes)
+    title = "vertical setting (Z in µm; Rx, Ry in µrad)"
+    assert [ax.get_xlabel() for ax in figure.axes] == ["", "", title]  # in a file once
+    assert all(svg(panel, 360.0).count(title) == 1 for panel in picture.panels)
     level = survey.nominal.over((0, 1, 2))
     assert level is not None
     np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata()[0], 1e6 * level["rmse"]["x_m"], rtol=1e-9)
@@ -217,6 +221,7 @@ def test_settings_are_labelled_by_what_the_stage_does(fitted: Fit, survey: Surve
     groups, title = settings(fitted, survey)
     labels = [label.replace("\N{MINUS SIGN}", "-") for label, _ in groups]
     assert len(groups) == 19
+    assert 0 <= survey.drift.min() <= survey.drift.max() < 2e-6
     assert labels[0] == "level"
     assert {"Z -250", "Z +250", "Rx +500", "Ry -500"} <= set(labels)
     assert sorted(run for _, runs in groups for run in runs) == list(survey.runs)

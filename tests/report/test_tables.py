@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from hallsym import bundled_campaign, evaluate, fit
 from hallsym.output import NARROWEST, columns, fitted, prose_width
+from hallsym.report.content import Table
 from hallsym.report.tables import grid
 
 ROWS = [
@@ -92,3 +93,9 @@ def test_a_table_whose_columns_are_all_words_does_not_vanish_where_it_is_too_wid
     wide(NARROWEST)
     rows = [["effect", *(f"{k} x" for k in range(12))], ["magnet_tilt", *["refused"] * 12]]
     assert grid(rows, left=13).count("refused") == 12
+
+
+def test_a_column_that_says_nothing_is_left_out():
+    table = Table(["a", "b", "c"], [["x", "", "one"], ["y", None, "two"]], left=2, wordy=(2,))
+    assert (table.head, table.rows) == (["a", "c"], [["x", "one"], ["y", "two"]])
+    assert (table.left, table.wordy) == (1, [1])
