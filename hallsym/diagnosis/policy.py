@@ -28,8 +28,7 @@ class Policy:
     minor: float = 0.1
     """Share up to which a part is minor: of the excess that named effects leave open in a gap that is
     explained; of the threshold that a smaller finding is worth; by which a steady line scatters less than the
-    rest of a spectrum; of the error rate, for a test beside that by signs (by the stated noise, of a
-    step)."""
+    rest of a spectrum; of the error rate, for a test beside that by signs (by the noise)."""
     half: float = 0.5
     """Part above which something is the larger one: of the threshold, for a first, certain effect to be
     taken up, and that a refit must keep of its score; of what a parameter alone makes, that the others

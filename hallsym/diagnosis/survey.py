@@ -224,12 +224,12 @@ def hum(times: Sequence[np.ndarray], rest: Sequence[np.ndarray]) -> tuple[float,
     if not known:
         return ()
     lengths = [t[-1] - t[0] for t, _ in known]
-    longest, whole = max(lengths), [np.concatenate(each, axis=-1) for each in zip(*known, strict=True)]
-    span, out = max(float(np.ptp(whole[0])), longest), []
+    longest, every, out = max(lengths), np.concatenate([t for t, _ in known]), list[float]()
+    whole, span = np.hstack([x for _, x in known]), max(float(np.ptp(every)), longest)
     for hz in MAINS_HZ:
         powers = [_power(t, x, hz, MAINS_REACH_HZ, longest) for t, x in known]
         total = sum(power / length for (_, power), length in zip(powers, lengths, strict=True))
-        f, power = _power(*whole, powers[0][0][np.argmax(total)], 0.5 / longest, span)
+        f, power = _power(every, whole, powers[0][0][np.argmax(total)], 0.5 / longest, span)
         out.append(float(f[np.argmax(power)]))
     return tuple(out)
 

@@ -9,11 +9,10 @@ from twins import record, with_noise
 
 import hallsym
 from hallsym.diagnosis import POLICY, Base, Diagnosis, diagnose, load_effects
-from hallsym.diagnosis.facts import instants, rails_of, steps
+from hallsym.diagnosis.facts import rails_of
 from hallsym.diagnosis.normal_equations import normal_equations
-from hallsym.diagnosis.p_values import beyond, statistic_at
+from hallsym.diagnosis.p_values import beyond
 from hallsym.diagnosis.refit import refit, with_model
-from hallsym.diagnosis.residual_table import residual_table
 from hallsym.diagnosis.setup import base_of
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
@@ -206,30 +205,6 @@ def test_many_runs_are_pooled_and_change_nothing_of_the_sums() -> None:
 
 def fitted(log: Log) -> Base:
     return base_of(log, hallsym.fit(log, "stage31", solver="direct", accept=["all"]))
-
-
-@pytest.mark.slow
-def test_the_instant_of_a_slip_is_found_without_held_out_runs() -> None:
-    log = hidden("mount_slip", "grid", thin=8)
-    base = fitted(log)
-    column = log.array("hall_a_m") + 5e-6 * np.isin(log.array("run"), list(base.holdout)) * np.sin(
-        log.array("t_s")
-    )
-    spoiled = Log.from_arrays(
-        {c: column if c == "hall_a_m" else log.array(c) for c in log.columns}, log.noise, log.meta
-    )
-    table, other = residual_table(base, log.runs), residual_table(replace(base, log=spoiled), log.runs)
-    assert table is not None
-    assert other is not None
-    fitted_ = ~np.isin(table.run, list(base.holdout))
-    noise = np.diag(base.covariance) * statistic_at(POLICY.certain / len(table.run), 2)
-    whole = [table.squares.sum(), other.squares.sum()]
-    assert whole[1] > 2 * whole[0]
-    for (k, t), (_, moved) in zip(*(instants(r, base.holdout, 1.0) for r in (table, other)), strict=True):
-        at = np.searchsorted(table.columns["campaign_s"], [t, moved])
-        y, x = table.residual[k] * fitted_, table.sensed[k] * fitted_
-        one, two = steps(y, x, table.run, at, counted=fitted_)[0]
-        assert one - two <= noise[k]  # the fitted runs leave open which
 
 
 def test_rails_are_where_readings_repeat() -> None:

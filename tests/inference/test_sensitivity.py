@@ -1,14 +1,16 @@
 """What a recording determines: ranks, verdicts, effects, zero deviations; for any family."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
 from twins import SIGMAS, TRUTH, record, true_model, with_noise
 
-from hallsym import InputError, bundled_campaign, families, fit
+from hallsym import Fit, InputError, bundled_campaign, families, fit
 from hallsym.families import build, published
 from hallsym.inference import identify
-from hallsym.log import Log, Noise, Sigma
+from hallsym.log import Log, Meta, Noise, Sigma
 from hallsym.model import Combination, Family, Model, Parameter
 from hallsym.simulation import (
     Campaign,
@@ -237,32 +239,43 @@ def test_a_common_scale_is_found_in_a_model_of_no_family(named):
 # -- bad input -------------------------------------------------------------------------------------------
 
 
-def test_a_model_alone_determines_nothing():
-    with pytest.raises(InputError, match="give a campaign"):
-        identify(build("stage31"))
-
-
-def test_a_calibration_without_its_log_is_refused(fitted, tmp_path):
-    from hallsym import load_fit
-
-    fitted.save(tmp_path / "calib.json")
-    with pytest.raises(InputError, match="does not hold its log"):
-        identify(load_fit(tmp_path / "calib.json"))
-
-
-def test_a_log_of_another_layout_is_refused(fitted):
-    from dataclasses import replace
-
-    from hallsym.log import Meta
-
+def elsewhere() -> Log:
+    """The bundled log, of probes at other places."""
     log = bundled_campaign()
     probes = [
         {"channel": f"hall_{k}_m", "position_m": [x, y], "senses": s}
         for k, x, y, s in (("a", 0.1, 0.2, [0, 1]), ("b", -0.1, 0.2, [0, 1]), ("c", 0.1, 0.3, [1, 0]))
     ]
-    other = replace(Log.from_arrays({c: log.array(c) for c in log.columns}), meta=Meta(probes=probes))
-    with pytest.raises(InputError, match="another machine, or another layout"):
-        identify(fitted, other)
+    return replace(Log.from_arrays({c: log.array(c) for c in log.columns}), meta=Meta(probes=probes))
+
+
+def few() -> Fit:
+    """A fit of eight samples of one run."""
+    columns = record(seed=2, samples=200)
+    at = np.flatnonzero(columns["run"] == 0)[::25]
+    return fit(with_noise({c: v[at] for c, v in columns.items()}), "stage31", solver="direct", loss="none")
+
+
+def silent() -> dict[str, float]:
+    return {c: s for c, s in SIGMAS.items() if c != "hall_b_m"}
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (lambda _: identify(build("stage31")), "give a campaign"),
+        (lambda fitted: identify(fitted.changed(likelihood=None)), "does not hold its log"),
+        (lambda fitted: identify(fitted, elsewhere()), "another machine, or another layout"),
+        (lambda _: identify(few()), "too few to form a covariance"),
+        (
+            lambda _: identify(build("stage31"), paper_campaign(0.05), values=TRUTH, noise=silent()),
+            "hall_b_m has none",
+        ),
+    ],
+)
+def test_what_determines_nothing_is_refused_in_one_sentence(fitted, asked, said):
+    with pytest.raises(InputError, match=said):
+        asked(fitted)
 
 
 def test_another_log_of_a_changed_machine_is_told(fitted):
@@ -272,20 +285,6 @@ def test_another_log_of_a_changed_machine_is_told(fitted):
     found = identify(fitted, with_noise(columns), profiles="none")
     assert any("not the log" in note and "eta_A" in note for note in found.evidence.notes)
     assert found["eta_A"].value == pytest.approx(0.80, abs=1e-3)
-
-
-def test_too_few_samples_for_a_covariance_are_refused():
-    columns = record(seed=2, samples=200)
-    few = np.flatnonzero(columns["run"] == 0)[::25]
-    log = with_noise({c: v[few] for c, v in columns.items()})
-    with pytest.raises(InputError, match="too few to form a covariance"):
-        identify(fit(log, "stage31", solver="direct", loss="none"))
-
-
-def test_a_plan_without_noise_is_refused():
-    noise = {c: s for c, s in SIGMAS.items() if c != "hall_b_m"}
-    with pytest.raises(InputError, match="hall_b_m has none"):
-        identify(build("stage31"), paper_campaign(0.05), values=TRUTH, noise=noise)
 
 
 # -- verdicts and null directions say the same ------------------------------------------------------------
