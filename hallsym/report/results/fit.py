@@ -26,7 +26,6 @@ from hallsym.report.content import Block, Content, Items, Section, Table
 from hallsym.report.data.gather import Gathered, gather
 from hallsym.report.data.periodic import periodic_of
 from hallsym.report.data.survey import MOST_SETTINGS, Group, Survey, held_out, look_over, settings
-from hallsym.report.picture import Picture
 from hallsym.report.results import shared
 from hallsym.report.results.periodic import periodic
 from hallsym.report.tables import concise
@@ -54,7 +53,7 @@ def fit_content(fit: Fit, *, log: Log | None = None) -> Content:
         ["", basis(fit), _errors(fit, fit.errors.fitted if fit.errors else None)],
         state="bad" if amiss(fit) else "good",
         columns=_columns(fit),
-        picture=lambda other: _picture(fit, other),
+        picture=lambda other: fit_figure(log_of(fit, other, "fit.plot('log.csv')"), fit, fit.keep),
         footer=f"hallsym {fit.versions.get('hallsym', '')}",
     )
 
@@ -68,12 +67,6 @@ def _errors(fit: Fit, table: ErrorTable | None, nominal: ErrorTable | None = Non
     known = {judge: rmse_interval(table, holdout or table.runs)} if table else {}
     model = fit.model
     return shared.error_table(model.pose, rows, fit.noise_floor, periodic=model.period, intervals=known)
-
-
-def _picture(fit: Fit, log: Any) -> Picture:
-    from hallsym.report.results.fit import fit_figure  # a terminal draws nothing
-
-    return fit_figure(log_of(fit, log, "fit.plot('log.csv')"), fit, fit.keep)
 
 
 def log_of(fit: Fit, log: Any, call: str) -> Log:
