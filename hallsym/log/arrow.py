@@ -15,7 +15,7 @@ from hallsym.log.table import Arrays, Source, load
 from hallsym.units import UNITS, Array, split_unit
 
 DAY_S = 86_400.0
-TICK_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+TICK_NS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1000, "ns": 1}
 
 
 def is_time(kind: Any) -> bool:
@@ -87,14 +87,14 @@ def _called(form: str) -> str:
 class Seconds:
     """Turns chunks of one column of times into seconds from its first one, in the order of the file.
 
-    A time of day goes on after midnight, a missing one is nan. `epoch`: the first moment in seconds from
-    1970, of a time of day from midnight; None before it was read, and of durations.
+    A time of day goes on after midnight, a missing one is nan. `moment`: the first one [ns since 1970],
+    of a time of day since midnight; None before it was read, and of durations.
     """
 
     def __init__(self, form: str = "", what: str = "") -> None:
         """Begin. `form`: of times as text, in a column that messages call `what`."""
         self.form, self.what = form, what
-        self.epoch: float | None = None
+        self.moment: int | None = None
         self._day_first: bool | None = None
         self._first: int | None = None
         self._last, self._days = 0.0, 0.0
@@ -110,8 +110,8 @@ class Seconds:
         ticks = array_of(load("pyarrow.compute").fill_null(column.cast(arrow.int64()), 0))
         if self._first is None and not missing.all():
             self._first = int(ticks[~missing][0])
-            self.epoch = None if types.is_duration(kind) else self._first * TICK_S[kind.unit]
-        seconds = (ticks - (self._first or 0)) * TICK_S[kind.unit]
+            self.moment = None if types.is_duration(kind) else self._first * TICK_NS[kind.unit]
+        seconds = (ticks - (self._first or 0)) * (TICK_NS[kind.unit] * 1e-9)
         seconds[missing] = np.nan
         daily = "<y>" not in self.form if self.form else types.is_time(kind)
         return self._onward(seconds) if daily else seconds

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from hallsym.errors import InputError, quoted
 from hallsym.log.arrow import Timed
+from hallsym.log.pace import pace_in
 from hallsym.log.table import load
 from hallsym.log.text.cells import MISSING, Convention, as_float
 from hallsym.log.text.sniff import Dialect, Encoded, sniffed, split
@@ -43,7 +44,7 @@ class CsvSource(Timed):
         self.take(dialect.stems, dialect.times, self.where)
         bytes_read = path.stat().st_size * (COMPRESSED if self.text.compressed else 1)
         self.small = data is not None or bytes_read <= IN_MEMORY_BYTES
-        self.recognised = dialect.said
+        self.recognised, self.pace = dialect.said, pace_in(dialect.facts)
         odd = [] if dialect.usual else [f"{self.where} is read as {self.recognised}."]
         self.notes += (*odd, *([_TORN.format(self.where)] if dialect.torn else []))
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import quoted
+from hallsym.log.pace import pace_in
 from hallsym.log.table import Source, load
 from hallsym.log.vectors import Stored, arranged, unit_in, words_of
 
@@ -22,8 +23,8 @@ def open_hdf5(path: Path, clock: str | None = None, kind: str = "HDF5", by: str 
     with opened() as file:
         arrays = {
             name: Stored(
-                node.shape, _type(node), _finder(node.name), unit_in(node.attrs), _fault(node),
-                tuple(words for value in node.attrs.values() if (words := words_of(value))),
+                node.shape, _type(node), _finder(node.name), unit_in(node.attrs), pace_in(_stated(node)),
+                _fault(node), tuple(words for value in node.attrs.values() if (words := words_of(value))),
             )
             for name, node in _datasets(file, left_out, by).items()
             if node.shape is not None
@@ -35,6 +36,12 @@ def _type(node: Any) -> np.dtype:
     """Return the type of a dataset; text and booleans of MATLAB are stored as numbers."""
     stated = {b"char": np.dtype(object), b"cell": np.dtype(object), b"logical": np.dtype(bool)}
     return stated.get(node.attrs.get("MATLAB_class", b""), node.dtype)
+
+
+def _stated(node: Any) -> dict[str, Any]:
+    """Return the attributes of a dataset and of the groups that hold it."""
+    above = _stated(node.parent) if node.name != "/" else {}
+    return {**above, **node.attrs}
 
 
 def _finder(name: str) -> Callable[[Any, str], Any]:

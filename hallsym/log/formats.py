@@ -38,12 +38,12 @@ from hallsym.log.format_parquet import open_feather, open_json, open_parquet
 from hallsym.log.format_tdms import open_tdms
 from hallsym.log.format_xlsx import open_workbook
 from hallsym.log.groups import Group, GroupedSource
-from hallsym.log.isolated import Isolated, about
+from hallsym.log.isolated import Isolated
 from hallsym.log.maker_tables import open_table
 from hallsym.log.meta import Meta, Noise, check_noise_keys
-from hallsym.log.parted import by_clock, by_rows, by_signal, side_by_side
+from hallsym.log.parted import by_clock, by_rows, by_signal, paced, side_by_side
 from hallsym.log.quality.check import clean_log
-from hallsym.log.table import Source, Table
+from hallsym.log.table import Source, Table, about
 from hallsym.log.text.sniff import stated_delimiter
 from hallsym.units import Array, split_unit
 
@@ -342,7 +342,11 @@ def _open(file: Path, format: str | None, stated: Mapping[str, str | None]) -> S
     fault = f"must be a complete {entry.kind} file; it is cut short or damaged"
     source = Guarded(file, partial(entry.open, **options), fault)
     found: Source = source
-    for parted in (side_by_side, by_signal, *(() if "clock" in entry.options else (by_clock, by_rows))):
+    for parted in (
+        side_by_side,
+        by_signal,
+        *(() if "clock" in entry.options else (by_clock, by_rows, paced)),
+    ):
         found = parted(source, quoted(file)) if found is source else found
     found.read_with = {**({"format": format} if format else {}), **options}
     return found

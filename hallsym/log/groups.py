@@ -12,6 +12,7 @@ import numpy as np
 
 from hallsym.errors import InputError, counted, nearest, quoted
 from hallsym.log.columns import RUN, TIME_WORDS, T
+from hallsym.log.pace import Paced
 from hallsym.log.table import CHUNK_ROWS, IN_MEMORY_ROWS, TIME, Source, exact, joined
 from hallsym.units import UNITS, Array, split_unit
 
@@ -23,7 +24,7 @@ class Group:
     """Channels that were sampled together: columns of a source, of which that of time is the `clock`.
 
     `ends`: time of the first and the last sample in seconds, None without a time base; `since`: from what
-    time counts, which two clocks must have in common; `epoch`: the moment of its zero in seconds, where it is
+    time counts, which two clocks must have in common; `moment`: that of its zero [ns since 1970], where it is
     known; `timed`: whether time is one of its columns; `by_run`: whether it starts again in each run.
     """
 
@@ -39,8 +40,11 @@ class Group:
         timed = named or [c for c in self.channels if self.seconds(c)]
         timed = timed or [c for c in self.channels if c.lower() in TIME_WORDS and c not in self.units]
         self.clock = timed[0] if len(timed) == 1 else ""
-        self.ends, self.since = source.ends, source.since
-        self.epoch: float | None = None
+        if not timed and source.pace:
+            self.source, self.clock, self.units[TIME] = Paced(source, source.pace), TIME, "s"
+        self.ends, self.since = self.source.ends, self.source.since
+        self.moment: int | None = None
+        self.step = 0.0
 
     @cached_property
     def rows(self) -> int:
@@ -49,18 +53,18 @@ class Group:
 
     def begin(self) -> None:
         """Read the clock once, where the times of the first and the last sample are not known."""
-        if not self.clock or self.source.ends:
-            return
-        first, last = np.nan, -np.inf
-        for piece in self.chunks([TIME], CHUNK_ROWS):
-            time = piece[TIME]
-            self.restarts |= bool((np.diff(time, prepend=last) < 0).any())
-            first, last = float(time[0]) if last == -np.inf else first, float(time[-1])
-            self.ends = first, last
+        if self.clock and not self.source.ends:
+            first, last = np.nan, -np.inf
+            for piece in self.chunks([TIME], CHUNK_ROWS):
+                time = piece[TIME]
+                self.restarts |= bool((np.diff(time, prepend=last) < 0).any())
+                self.step = self.step or usual_step(time)
+                first, last = float(time[0]) if last == -np.inf else first, float(time[-1])
+                self.ends = first, last
+            self.since = "zero" if self.seconds(self.clock) else "zero, in a unit that is not stated"
         read = self.source.clocks.get(self.clock)
-        self.epoch = read.epoch if read else None
-        self.since = "zero" if self.seconds(self.clock) else "zero, in a unit that is not stated"
-        self.since = self.since if self.epoch is None else "a moment"
+        self.moment = read.moment if read else None
+        self.since = self.since if self.moment is None else "a moment"
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of exactly `size` rows, the last may be shorter; also of `TIME`."""
@@ -101,10 +105,10 @@ def on_one_scale(groups: Sequence[Group]) -> None:
                     f"Time of {g.name} must rise in each run, and the numbers of its runs from run to run, to"
                     " be joined with another file: sort it by run and time."
                 )
-    earliest = min((g.epoch for g in groups if g.epoch is not None), default=0.0)
+    earliest = min((g.moment for g in groups if g.moment is not None), default=0)
     for g in groups:
-        if g.epoch is not None and g.ends:
-            g.shift = g.epoch - earliest
+        if g.moment is not None and g.ends:
+            g.shift = (g.moment - earliest) * 1e-9
             g.ends = g.ends[0] + g.shift, g.ends[1] + g.shift
 
 
@@ -167,17 +171,23 @@ def number_of(name: str) -> int:
 def on_one_clock(groups: Sequence[Group]) -> list[list[Group]]:
     """Return the groups in sets that were sampled together: as many samples from one time to another.
 
-    Without a time base, those of the same length.
+    Without a time base, those of the same length; with a stated rate, also those with a column of times of
+    that rate, which may pause between runs.
     """
     sets: list[list[Group]] = []
-    for g in sorted(groups, key=lambda g: not g.ends):
-        own = (g.ends, g.since) if g.ends else None
-        same = (s for s in sets if s[0].rows == g.rows and own in (None, (s[0].ends, s[0].since)))
-        if (home := next(same, None)) is None:
+    for g in sorted(groups, key=lambda g: (not g.ends, isinstance(g.source, Paced))):
+        if (home := next((members for members in sets if _together(members[0], g)), None)) is None:
             sets.append([g])
         else:
             home.append(g)
     return sets
+
+
+def _together(first: Group, g: Group) -> bool:
+    if first.rows != g.rows or not g.ends or (g.ends, g.since) == (first.ends, first.since):
+        return first.rows == g.rows
+    rated = isinstance(g.source, Paced) and not isinstance(first.source, Paced)
+    return rated and math.isclose(first.step, g.source.pace.step, rel_tol=UNEVEN)
 
 
 def hertz(rate: float) -> str:
@@ -187,6 +197,8 @@ def hertz(rate: float) -> str:
     return f"{rate / 1e3:.4g} kHz" if rate >= 1e3 else f"{rate:.4g} Hz"
 
 
+UNEVEN = 0.01
+"""Part by which a rate by a column of times may differ from the stated one."""
 SHOWN_GROUPS = 4
 """Groups that a line names."""
 
@@ -427,9 +439,8 @@ class Follower:
         self._pieces = iter(group.chunks(self.names, AT_ONCE))
         self._buffer = {name: np.empty(0, bool) for name in self.names}  # joining keeps the other type
         self._more()
-        steps = np.diff(self._buffer[TIME][:FOR_PERIOD])
         self.between = np.empty(0, bool)
-        self._longest = LONGEST_GAP * float(np.median(steps)) if len(steps) else np.inf
+        self._longest = LONGEST_GAP * usual_step(self._buffer[TIME])
 
     def at(self, time: Array, method: str) -> dict[str, Array]:
         """Return the columns at rising times, each of shape (times,); NaN where the group has no value."""
@@ -480,6 +491,12 @@ def _between(low: Array, high: Array, share: Array, turn: float) -> Array:
         again = (np.abs(step) > turn / 2) & (np.abs(low) <= turn) & (np.abs(high) <= turn)
         step = np.where(again, step - turn * np.round(step / turn), step)
     return np.where(share <= 0.5, low + share * step, high - (1 - share) * step)
+
+
+def usual_step(time: Array) -> float:
+    """Return the median step of the first times; infinite where there is none."""
+    steps = np.diff(time[:FOR_PERIOD])
+    return float(np.median(steps)) if len(steps) else np.inf
 
 
 def check_rising(time: Array, name: str, where: str) -> None:

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.errors import InputError
-from hallsym.log.table import Source
+from hallsym.log.table import Source, about
 from hallsym.units import Array
 
 MEMORY = 3 << 29
@@ -34,12 +34,6 @@ SECONDS = 60
 _START = "import sys; sys.path[:] = sys.argv[1:]; from hallsym.log.isolated import serve; serve()"
 
 _IDLE: list[Decoder] = []
-
-
-def about(source: Source) -> dict[str, Any]:
-    """Return what is known of a source before its columns are read."""
-    known = {name: getattr(source, name, None) for name in Source.__annotations__}
-    return {name: value for name, value in known.items() if value is not None}
 
 
 class Isolated(Source):

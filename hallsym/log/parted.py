@@ -13,6 +13,7 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.log.columns import RUN, RUN_WORDS, TIME_WORDS, T, split_header, stems_of
 from hallsym.log.groups import Group, GroupedSource
+from hallsym.log.pace import Paced
 from hallsym.log.table import Arrays, Source
 from hallsym.log.text.cells import MISSING, is_number
 from hallsym.units import UNITS, Array, split_unit
@@ -42,6 +43,15 @@ def _is_clock(source: Source, name: str) -> bool:
     stem, unit = split_unit(split_header(name)[0])
     stated = UNITS[source.units[name]] if name in source.units else unit
     return stem.lower().strip("_ ") in TIME_WORDS or bool(stated and stated.si == "s")
+
+
+def paced(source: Source, where: str) -> Source:
+    """Return a table that states how far apart its samples are with their times, where it has no others."""
+    head = _head(source) if source.pace else {}
+    clocks = [name for name in source.names if _is_clock(source, name)]
+    if not head or any(cell not in MISSING for name in clocks for cell in head[name]):
+        return source
+    return Paced(source, source.pace, T, without=clocks)
 
 
 _OF_RUN = re.compile(

@@ -35,8 +35,9 @@ class Source(ABC):
     beside a name, by name (`hallsym.units`). `notes` on the file; `recognised`: its format, if that was not
     stated. `unstated`: a question to answer before samples are read together. `read_with`: the options that
     it was read with, by name. `path`: where the file is on a disk. `ends`: time of the first and the last
-    sample [s] that its format gives, and `since` what it counts from. `clocks`: columns of times, and what
-    made seconds of each as it was read. `filled`: whether the file says that no first cell is empty.
+    sample [s] that its format gives, and `since` what it counts from. `clocks`: of columns of times, what
+    knows the `moment` of their zero [ns since 1970] once they were read. `pace`: how far apart samples
+    are, if it states that. `filled`: whether the file says that no first cell is empty.
     """
 
     names: tuple[str, ...]
@@ -53,6 +54,7 @@ class Source(ABC):
     ends: tuple[float, float] | None = None
     since: str = ""
     clocks: Mapping[str, Any] = {}
+    pace: Any = None
     filled: bool = False
 
     def count(self) -> int:
@@ -100,6 +102,12 @@ class Source(ABC):
     @abstractmethod
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of at most about `size` rows."""
+
+
+def about(source: Source) -> dict[str, Any]:
+    """Return what is known of a source before its columns are read."""
+    known = {name: getattr(source, name, None) for name in Source.__annotations__}
+    return {name: value for name, value in known.items() if value is not None}
 
 
 def label(value: object) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
@@ -15,7 +16,8 @@ from hallsym.errors import InputError
 from hallsym.log.arrow import MOST_COLUMNS
 from hallsym.log.columns import split_header, stems_of, unit_of
 from hallsym.log.groups import Group, GroupedSource
-from hallsym.log.table import Source
+from hallsym.log.pace import Pace, pace_in
+from hallsym.log.table import TIME, Source
 from hallsym.log.text.cells import is_unit_row
 from hallsym.units import UNITS, Array
 
@@ -24,7 +26,7 @@ Opened = Callable[[], AbstractContextManager[Any]]
 
 
 class Stored(NamedTuple):
-    """An array in a file, with named fields perhaps: its shape and type, and the unit that the file states.
+    """An array in a file, with named fields perhaps: its shape and type, unit and pace that the file states.
 
     `find` takes the opened file and a field, "" without one, and returns what indices of numpy read. `fault`:
     why it cannot be used. `texts`: lists of words that stand with it, as names of columns of a matrix do.
@@ -34,16 +36,22 @@ class Stored(NamedTuple):
     dtype: Any
     find: Callable[[Any, str], Any]
     unit: str | None = None
+    pace: Pace | None = None
     fault: str = ""
     texts: tuple[tuple[str, ...], ...] = ()
 
 
 class Vector(NamedTuple):
-    """A column of numbers: its length, what reads samples from one on to before another, and its unit."""
+    """A column of numbers: its length, what reads samples from one on to before another, unit and pace.
+
+    `first` reads the moment [ns since 1970] that a column of times counts from.
+    """
 
     rows: int
     read: Callable[[Any, int, int], Array]
     unit: str | None
+    pace: Pace | None = None
+    first: Callable[[Any], int] | None = None
 
 
 class Vectors(Source):
@@ -87,7 +95,7 @@ def columns_of(path: str, array: Stored, field: str, by: str) -> tuple[dict[str,
     """
     shape, kind = array.shape, (array.dtype[field] if field else array.dtype).kind
     sizes = [n for n in shape if n != 1] or [1]
-    if kind not in "fiub" or (kind == "b" and not shape):
+    if kind not in "fiubM" or (kind == "b" and not shape):
         return {}, ""
     if kind == "b":
         return {}, "it holds booleans, not numbers"
@@ -100,9 +108,11 @@ def columns_of(path: str, array: Stored, field: str, by: str) -> tuple[dict[str,
     def column(k: int, unit: str | None) -> Vector:
         def read(file: Any, lo: int, hi: int) -> Array:
             index = tuple(slice(lo, hi) if n == axis else k for n in range(len(shape)))
-            return np.atleast_1d(array.find(file, field)[index])
+            return np.atleast_1d(array.find(file, field)[index if len(index) != 1 else index[0]])
 
-        return Vector(max(sizes), read, unit)
+        if kind == "M":
+            return _moments(max(sizes), read)
+        return Vector(max(sizes), read, unit, array.pace)
 
     if len(sizes) == 1:
         return {path: column(0, array.unit)}, ""
@@ -118,6 +128,18 @@ def columns_of(path: str, array: Stored, field: str, by: str) -> tuple[dict[str,
         elif len(set(words)) == len(words):
             names = names or [before + word for word in words]
     return {name: column(k, units[k]) for k, name in enumerate(names or [f"{stem}_{k}" for k in count])}, ""
+
+
+def _moments(rows: int, read: Callable[[Any, int, int], Array]) -> Vector:
+    """Return a column of moments as seconds from the first one."""
+
+    def ticks(file: Any, lo: int, hi: int) -> Array:
+        return read(file, lo, hi).astype("M8[ns]").astype(np.int64)
+
+    def first(file: Any) -> int:
+        return int(ticks(file, 0, 1)[0])
+
+    return Vector(rows, lambda file, lo, hi: (ticks(file, lo, hi) - first(file)) * 1e-9, "s", None, first)
 
 
 def words_of(values: Any) -> tuple[str, ...]:
@@ -137,7 +159,7 @@ def _texts(arrays: Mapping[str, Stored], opened: Opened) -> tuple[tuple[str, ...
 def unit_in(attributes: Mapping[str, object]) -> str | None:
     """Return the unit that the attributes of a vector state."""
     for key, value in attributes.items():
-        if re.fullmatch("units?", key, re.IGNORECASE):
+        if re.fullmatch("(NI_)?unit(s|_string|Description)?", key, re.IGNORECASE):
             text = value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
             return unit_of(text)
     return None
@@ -185,6 +207,8 @@ def arranged(
             columns, why = columns_of(f"{path}{by}{field}" if field else path, array, field, by)
             vectors |= columns
             left_out |= {path.rpartition(by)[2]: why} if why else {}
+    with opened() as file:
+        scalars = {p: v.read(file, 0, 1)[0] for p, v in vectors.items() if v.rows == 1}
     runs = runs_of([path.split(by) for path in vectors])
     paths: dict[str, dict[str, Vector]] = {}
     for path, vector in vectors.items():
@@ -193,16 +217,35 @@ def arranged(
         paths.setdefault(by.join(parts[:at]), {})[by.join(parts[at:])] = vector
     found = []
     for group, own in paths.items():
-        sizes = list(dict.fromkeys(vector.rows for vector in own.values()))
-        if runs and max(sizes) > 1:  # one value is a setting of the run, no sample
+        above = {path.rpartition(by): value for path, value in scalars.items()}
+        stated = pace_in({p[2]: v for p, v in above.items() if f"{group}{by}".startswith(p[0] + p[1])})
+        if runs and max(vector.rows for vector in own.values()) > 1:  # one is a setting of the run, no sample
             left_out |= {name: "it holds one value" for name, vector in own.items() if vector.rows == 1}
-            sizes = [rows for rows in sizes if rows > 1]
-        if len(sizes) > 1 and runs:
+            own = {name: vector for name, vector in own.items() if vector.rows > 1}
+        clocks = defaultdict[tuple[int, Pace | None], dict[str, Vector]](dict)
+        for name, vector in own.items():
+            clocks[vector.rows, vector.pace or stated][name] = vector
+        if runs and len({pace for _, pace in clocks}) < len(clocks):
             raise InputError(
                 f"Columns of group '{group}' of {where} must be equally long; they have"
-                f" {' and '.join(map(str, sorted(sizes)))} values: the recording of this run broke off."
+                f" {' and '.join(map(str, sorted(rows for rows, _ in clocks)))} values: the recording of this"
+                " run broke off."
             )
-        for rows in sizes:
-            units = {name: vector.unit for name, vector in own.items() if vector.rows == rows}
-            found.append(Group(group, Vectors(units, rows, partial(_each, own), opened)))
+        for (rows, pace), members in clocks.items():
+            several = pace and sum(count > 1 for count, _ in clocks) > 1
+            name = by.join(filter(None, (group, next(iter(members))))) if several else group
+            found.append(Group(name, _timed(members, rows, pace, opened)))
     return GroupedSource(where, kind, found, left_out, clock, by=by)
+
+
+def _timed(own: Mapping[str, Vector], rows: int, pace: Pace | None, opened: Opened) -> Vectors:
+    """Return vectors of one length; the only one that holds moments is their time."""
+    moments = {name: vector.first for name, vector in own.items() if vector.first}
+    if len(moments) == 1:
+        own = {TIME if name in moments else name: vector for name, vector in own.items()}
+    source = Vectors({name: vector.unit for name, vector in own.items()}, rows, partial(_each, own), opened)
+    source.pace = pace
+    for first in moments.values() if TIME in own else ():
+        with opened() as file:
+            source.clocks = {TIME: Pace(0.0, 0.0, first(file))}
+    return source

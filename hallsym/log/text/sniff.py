@@ -47,7 +47,8 @@ class Dialect:
     (`time_form`). `torn`: whether the last line does not end. `spelled`: how numbers are written otherwise.
     `repeated`: the lines of names and units, which come again where files were put one behind another;
     `heads`: the first cells of lines above them, no names, which come again with other values.
-    `said`: one line on all of it; `usual`: whether it needs no word.
+    `facts`: what the lines above say, by name. `said`: one line on all of it; `usual`: whether it needs no
+    word.
     """
 
     delimiter: str
@@ -62,6 +63,7 @@ class Dialect:
     spelled: tuple[Spelling, ...]
     repeated: frozenset[str]
     heads: frozenset[str]
+    facts: dict[str, str]
     said: str
     usual: bool
 
@@ -279,7 +281,7 @@ def sniffed(
     return Dialect(
         table.delimiter, stems, below[0].number if below else lines[-1].number + 1, numbers, marks, quoted,
         bool(remarks), not text.end.endswith("\n") and text.end.strip().rpartition("\n")[2] not in remarks,
-        _times(body), tuple(spelled), repeated, heads,
+        _times(body), tuple(spelled), repeated, heads, _facts(lines[: table.top]),
         ", ".join(said), usual=plain and not (units_line or remarks or above or spelled),
     )  # fmt: skip
 
@@ -354,6 +356,14 @@ def _times(body: list[list[str]]) -> dict[int, str]:
         if cells and ":" in cells[0] and (form := time_form(cells)):
             found[k] = form
     return found
+
+
+_FACT = re.compile(r"\W*(\w[^:=,;\t]*?)\s*(?:[:=,;\t]|\s(?=[-+.\d]))\s*(.*)")
+
+
+def _facts(lines: Sequence[Line]) -> dict[str, str]:
+    """Return what lines say, the last one of a name: `Sample Interval, 0.001`, `# fs = 2000 Hz`."""
+    return {match[1]: match[2].strip(' "') for line in lines if (match := _FACT.match(line.text))}
 
 
 def _is_remark(line: str, delimiter: str, width: int, heads: Collection[str]) -> bool:
