@@ -36,7 +36,7 @@ from hallsym.errors import InputError, counted
 from hallsym.estimation import LOSSES, SOLVERS
 from hallsym.estimation.calibration import load_fit
 from hallsym.families import build, effects, family_called, models, recording
-from hallsym.files import atomic_write
+from hallsym.files import atomic_write, read_json
 from hallsym.log import Log, Meta, check_log, estimate_noise, open_source, spans
 from hallsym.log.columns import is_moving, split_header
 from hallsym.log.formats import FORMATS, Opened
@@ -101,7 +101,7 @@ def run(options: Namespace) -> int:
     elif options.file.endswith(".json") and is_curve(options.file):
         record, text = about_curve(read_curve(options.file))
         say(options, record, lambda: text)
-    elif options.file.endswith(".json"):
+    elif options.file.endswith(".json") and not _is_log(options.file):
         known = load_fit(options.file)
         say(options, known)
     elif options.file.endswith(".toml"):
@@ -117,6 +117,15 @@ def run(options: Namespace) -> int:
     else:
         return _log(options)
     return OK
+
+
+def _is_log(path: str) -> bool:
+    """Return whether a JSON file is one of another program; each of hallsym states its format."""
+    try:
+        raw = read_json(path, "File", "copy it again")
+    except InputError:
+        return False
+    return not (isinstance(raw, dict) and "format" in raw)
 
 
 def _log(options: Namespace) -> int:

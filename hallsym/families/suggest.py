@@ -353,25 +353,8 @@ def _covered(model: Model, guesses: Sequence[Guess], moving: Collection[str]) ->
 
 def _numbers(source: Source) -> dict[str, Array]:
     """Return the first samples of the columns that hold numbers."""
-    found: dict[str, Array] = {}
-    for names in (source.names, *((name,) for name in source.names)):
-        try:
-            found |= _head(source, names) if names else {}
-        except InputError:
-            continue  # words, dates
-        if names == source.names:
-            break
-    return found
-
-
-def _head(source: Source, names: Sequence[str]) -> dict[str, Array]:
-    parts: list[Mapping[str, Array]] = []
-    for part in source.chunks(names, ROWS):
-        parts.append(part)
-        if sum(len(p[names[0]]) for p in parts) >= ROWS:
-            break
-    joined = {n: np.concatenate([np.asarray(p[n], float) for p in parts])[:ROWS] for n in names if parts}
-    return {n: v for n, v in joined.items() if np.isfinite(v).any()}
+    found = {name: np.asarray(values, float) for name, values in source.numbers(most=ROWS).items()}
+    return {name: values for name, values in found.items() if np.isfinite(values).any()}
 
 
 def _stems(model: Model) -> list[str]:
@@ -422,6 +405,7 @@ def _likeliest(pairs: Iterable[tuple[float, str, str]]) -> list[tuple[float, str
 def _matched(source: Source, data: Mapping[str, Array], model: Model) -> list[tuple[float, str, str]]:
     """Return how well our stems and the file's names go together (score, stem, name), each once."""
     stems = _stems(model)
+    paths = {name: path for path, name in source.aliases.items()}  # Hall/A
     own = {name: o if (o := _own(name)) in (RUN, TIME, *stems, *OTHERS) else "" for name in data}
     series, pairs = _places((n for n in data if not _behaves(RUN, data[n])), model), []
     for stem in (RUN, TIME, *stems, *OTHERS):
@@ -430,7 +414,8 @@ def _matched(source: Source, data: Mapping[str, Array], model: Model) -> list[tu
                 continue  # a name of ours is not another one of ours
             if stem in (RUN, TIME) and not _behaves(stem, values):
                 continue
-            like, fits = likeness(stem, name), _unit_fits(source, name, stem, model)
+            like = max(likeness(stem, name), likeness(stem, paths.get(name, name)))
+            fits = _unit_fits(source, name, stem, model)
             if name in series and stem in stems and not own[name]:
                 like = NUMBERED if series[name] == stem else 0.0
             if fits or (like > BARE and stem in stems):  # in V or counts it lacks a scale

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.log.columns import RUN, RUN_WORDS, TIME_WORDS, T, stems_of
+from hallsym.log.columns import RUN, T, is_run_word, is_time_word, stems_of
 from hallsym.log.table import Arrays, Source, load
 from hallsym.units import UNITS, Array, split_unit
 
@@ -233,7 +233,7 @@ def source_of(data: Any, where: str) -> Memory:
         name
         for name, values in given.items()
         if (is_numeric(typed[name]) or name in timed if name in typed else values.dtype.kind in "fiu")
-        or (name in words and not {RUN, *RUN_WORDS}.isdisjoint(re.split(r"[\W_]", name.lower())))
+        or (name in words and is_run_word(name))
     ]
     source = Memory({})
     source.take(stems_of(kept), {k: timed[name] for k, name in enumerate(kept) if name in timed}, where)
@@ -279,9 +279,8 @@ def _columns_of(data: Any, where: str) -> Iterator[tuple[str, Any]]:
         return iter(columns.items())
     one = table.num_rows == 1
     if not one:  # lists of samples may stand within records
-        columns = dict(part for item in columns.items() for part in _entries(*item, one, lists=False))
-        columns = dict(_samples(columns, table.num_rows))
-    parts = [part for name, column in columns.items() for part in _entries(name, column, one)]
+        columns = dict(_samples(dict(_entries(columns, one, lists=False)), table.num_rows))
+    parts = [*_entries(columns, one)]
     rows = max((len(column) for _, column in parts), default=0)
     return iter([(name, column) for name, column in parts if len(column) == rows])
 
@@ -305,7 +304,7 @@ def _samples(columns: Mapping[str, Any], rows: int) -> Iterator[tuple[str, Any]]
     """
     lists = {name: own for name, column in columns.items() if (own := _lengths(column)) is not None}
     shared = next(iter(lists.values()), np.zeros(rows, int))
-    timed = any(split_unit(name)[0].lower() in TIME_WORDS for name in lists)
+    timed = any(is_time_word(split_unit(name)[0]) for name in lists)
     long = timed or len(set(shared)) > 1 or max(shared, default=0) > MOST_COLUMNS
     if not long or not all(np.array_equal(own, shared) for own in lists.values()):
         yield from columns.items()
@@ -313,28 +312,41 @@ def _samples(columns: Mapping[str, Any], rows: int) -> Iterator[tuple[str, Any]]
     each = np.repeat(np.arange(rows), shared)
     for name, column in columns.items():
         yield name, load("pyarrow.compute").list_flatten(column) if name in lists else column.take(each)
+    if not any(is_run_word(name) for name in columns):
+        yield RUN, load("pyarrow").chunked_array([each])
 
 
-def _entries(name: str, column: Any, one: bool, lists: bool = True) -> Iterator[tuple[str, Any]]:
-    """Yield the columns that a column of records or lists holds, by name; of one record by their own.
+def _entries(columns: Mapping[str, Any], one: bool, lists: bool = True) -> Iterator[tuple[str, Any]]:
+    """Yield the columns that columns of records and lists hold, by names that are joined.
 
-    A unit behind its name is that of its columns: {"hall_um": {"a": 1.5}} is `hall_a_um`, {"hall_um": [1.5]}
-    is `hall_0_um`. Without `lists`, a column of lists stays one.
+    A unit behind a name is that of its columns: {"hall_um": {"a": 1.5}} is `hall_a_um`, {"hall_um": [1.5]}
+    is `hall_0_um`. What a name says already, and the only record with lists, is not put before it:
+    {"data": {"x": [1, 2]}} is `x`. In `one` row lists are samples; without `lists`, a list stays one column.
     """
-    compute, lengths = load("pyarrow.compute"), _lengths(column)
-    stem, _, last = name.rpartition("_")
-    stem, unit = (stem, f"_{last}") if stem and last in UNITS else (name, "")
-    if lengths is not None and one:
-        yield from _entries(name, compute.list_flatten(column), one)
-    elif load("pyarrow").types.is_struct(column.type):
-        for k, field in enumerate(column.type):
-            under = field.name if one else f"{stem}_{field.name}{unit}"
-            yield from _entries(under, compute.struct_field(column, k), one, lists)
-    elif lists and lengths is not None and len(set(lengths)) == 1 and 0 < lengths[0] <= MOST_COLUMNS:
-        for k in range(int(lengths[0])):
-            yield from _entries(f"{stem}_{k}{unit}", compute.list_element(column, k), one)
-    else:
-        yield name, column
+    types, compute = load("pyarrow").types, load("pyarrow.compute")
+    holding = [name for name, column in columns.items() if _holds_lists(column.type)]
+    for name, column in columns.items():
+        lengths, kind = _lengths(column), column.type
+        stem, _, last = name.rpartition("_")
+        stem, unit = (stem, f"_{last}") if stem and last in UNITS else (name, "")
+        held = dict[str, Any]()
+        if types.is_struct(kind):
+            for k, under in enumerate(field.name for field in kind):
+                said = holding == [name] or stem.lower() in re.split(r"[\W_]", under.lower())
+                held[under if said else f"{stem}_{under}{unit}"] = compute.struct_field(column, k)
+        elif lengths is not None and one and lists:
+            held = {name: compute.list_flatten(column)}
+        elif lists and lengths is not None and len(set(lengths)) == 1 and 0 < lengths[0] <= MOST_COLUMNS:
+            held = {f"{stem}_{k}{unit}": compute.list_element(column, k) for k in range(int(lengths[0]))}
+        else:
+            yield name, column
+        if held:
+            yield from _entries(held, one, lists)
+
+
+def _holds_lists(kind: Any) -> bool:
+    types = load("pyarrow").types
+    return any(_holds_lists(f.type) for f in kind) if types.is_struct(kind) else types.is_nested(kind)
 
 
 def distinct(names: Sequence[str], where: str) -> Sequence[str]:

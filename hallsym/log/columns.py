@@ -41,6 +41,22 @@ TIME_WORDS = ("t", "time", "timestamp", "zeit", "clock", "elapsed", "temps", "�
 """Usual names of runs, and of the time."""
 T = "t"
 """Name of the time in a log, without its unit, and of times that a format gives."""
+
+
+def is_time_word(name: str) -> bool:
+    """Say whether a name without a unit is one of time, such as `Relative Time`.
+
+    >>> is_time_word("Zeit"), is_time_word("Relative Time"), is_time_word("Time constant")
+    (True, True, False)
+    """
+    return next(reversed(re.findall(r"[^\W_]+", name.lower())), "") in TIME_WORDS
+
+
+def is_run_word(name: str) -> bool:
+    """Say whether a word of a name is one of runs."""
+    return not {*RUN_WORDS}.isdisjoint(re.split(r"[\W_]", name.lower()))
+
+
 _OPEN = re.compile(r"^# (\w+) = ", re.MULTILINE)
 
 
@@ -440,6 +456,7 @@ _WORDS = {
     "deg c": "degc", "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us", "micron": "um",
     "microns": "um", "micrometer": "um", "micrometre": "um", "millimeter": "mm", "millimetre": "mm",
     "meter": "m", "metre": "m", "volt": "v", "volts": "v", "ampere": "a", "amp": "a", "tesla": "t",
+    "vdc": "v", "v dc": "v", "volt dc": "v",
     "kelvin": "k", "rad/s": "rad_s", "°/s": "deg_s", "deg/s": "deg_s", "1/min": "rpm", "u/min": "rpm",
     "min-1": "rpm", "r/min": "rpm", "m/s": "m_s", "mm/s": "mm_s", "counts": "count", "cts": "count",
     "inc": "count", "lsb": "count", "digit": "count", "digits": "count", '"': "arcsec", "″": "arcsec",

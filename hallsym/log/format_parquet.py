@@ -11,6 +11,7 @@ from typing import Any
 from hallsym.errors import InputError, quoted
 from hallsym.log.arrow import Memory, Timed, distinct, is_numeric, is_time, source_of
 from hallsym.log.columns import stems_of
+from hallsym.log.pace import pace_in
 from hallsym.log.table import CHUNK_ROWS, IN_MEMORY_ROWS, Source, load
 from hallsym.units import Array
 
@@ -88,27 +89,35 @@ def open_feather(path: Path) -> Memory:
 def open_json(path: Path) -> Memory:
     """Open lines of JSON objects with the same keys, a list of them, or one object of lists or of a matrix.
 
-    What one object holds at any depth are columns, those that are as long as the longest.
+    What one object holds at any depth are columns, those that are as long as the longest. Objects that hold
+    lists of samples are runs: in a list, or alike under names of their own.
     """
-    arrow = load("pyarrow")
+    arrow, facts = load("pyarrow"), dict[str, Any]()
     try:
-        whole = _rows(json.loads(path.read_bytes()))
+        whole, facts = _rows(json.loads(path.read_bytes()))
         table = arrow.Table.from_pylist(whole if isinstance(whole, list) else [whole])
     except json.JSONDecodeError:  # several objects
         table = load("pyarrow.json").read_json(path)
-    return source_of(table, quoted(path))
+    source = source_of(table, quoted(path))
+    source.pace = pace_in(facts)
+    return source
 
 
-def _rows(whole: Any) -> Any:
-    """Return objects for the rows of a matrix whose column names stand beside it, as pandas writes them."""
-    lists = (
-        [own for own in whole.values() if isinstance(own, list) and own] if isinstance(whole, dict) else []
-    )
+def _rows(whole: Any) -> tuple[Any, dict[str, Any]]:
+    """Return the object that holds the samples, or a list of them, and the numbers and words beside it."""
+    if not isinstance(whole, dict):
+        return whole, {}
+    facts = {name: own for name, own in whole.items() if isinstance(own, int | float | str)}
+    parts = [own for own in whole.values() if isinstance(own, list | dict) and own]
+    lists = [own for own in parts if isinstance(own, list)]
     for names in (own for own in lists if all(isinstance(name, str) for name in own)):
-        for rows in lists:
+        for rows in lists:  # as pandas writes a matrix
             if all(isinstance(row, list) and len(row) == len(names) for row in rows):
-                return [dict(zip(names, row, strict=True)) for row in rows]
-    return whole
+                return [dict(zip(names, row, strict=True)) for row in rows], facts
+    if len(parts) == 1 and lists and all(isinstance(row, dict) for row in lists[0]):
+        return lists[0], facts
+    alike = len(parts) > 1 and not lists and len({frozenset(own) for own in parts}) == 1
+    return parts if alike else whole, facts
 
 
 class ParquetWriter:

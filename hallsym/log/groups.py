@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from hallsym.errors import InputError, counted, nearest, quoted
-from hallsym.log.columns import RUN, TIME_WORDS, T
+from hallsym.log.columns import RUN, T, is_time_word
 from hallsym.log.pace import Paced
 from hallsym.log.table import CHUNK_ROWS, IN_MEMORY_ROWS, TIME, Source, exact, joined
 from hallsym.units import UNITS, Array, split_unit
@@ -38,7 +38,7 @@ class Group:
         given = [c for c in source.names if c == TIME]
         named = given or [c for c in self.channels if split_unit(ours.get(c, c))[0] == T]
         timed = named or [c for c in self.channels if self.seconds(c)]
-        timed = timed or [c for c in self.channels if c.lower() in TIME_WORDS and c not in self.units]
+        timed = timed or [c for c in self.channels if is_time_word(c) and c not in self.units]
         self.clock = timed[0] if len(timed) == 1 else ""
         if not timed and source.pace:
             self.source, self.clock, self.units[TIME] = Paced(source, source.pace), TIME, "s"

@@ -5,13 +5,12 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from itertools import pairwise
 
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.log.columns import RUN, RUN_WORDS, TIME_WORDS, T, split_header, stems_of
+from hallsym.log.columns import RUN, RUN_WORDS, T, is_time_word, split_header, stems_of, unit_of
 from hallsym.log.groups import Group, GroupedSource
 from hallsym.log.pace import Paced
 from hallsym.log.table import Arrays, Source
@@ -39,10 +38,10 @@ def _parted(
 
 
 def _is_clock(source: Source, name: str) -> bool:
-    """Say whether a column is a time by its name or its unit."""
+    """Say whether a column is a time by its unit or by its name."""
     stem, unit = split_unit(split_header(name)[0])
     stated = UNITS[source.units[name]] if name in source.units else unit
-    return stem.lower().strip("_ ") in TIME_WORDS or bool(stated and stated.si == "s")
+    return stated.si == "s" if stated else is_time_word(stem)
 
 
 def paced(source: Source, where: str) -> Source:
@@ -74,14 +73,14 @@ def side_by_side(source: Source, where: str) -> Source:
     stems = {stem for columns in runs.values() for stem in columns}
     if len(runs) < 2 or "" in stems or 2 * len(marked) <= len(source.names):
         return source
-    timed = any(split_header(stem)[0].lower() in TIME_WORDS for stem in stems)
+    timed = any(is_time_word(split_header(stem)[0]) for stem in stems)
     if not timed and any(match[0].strip("_ ./-")[0] == "#" for match in marked.values()):
         return source
     for run, columns in runs.items():
         if lacking := sorted(stems - set(columns)):
             raise InputError(f"Run {run} of {where} must have a column for {lacking[0]} as the others have.")
     others = [name for name in source.names if name not in marked]
-    shared = _numbers(source, others)
+    shared = source.numbers(others)
     left_out = {**source.left_out, **{n: "it holds no numbers" for n in others if n not in shared}}
     data = {**shared, **source.read([*marked])}
     parts = {}
@@ -110,7 +109,7 @@ def by_clock(source: Source, where: str) -> Source:
     starts = [*map(source.names.index, clocks), len(source.names)]
     if len(clocks) < 2 or (np.diff(starts) < 2).any():
         return source
-    data = _numbers(source, source.names)
+    data = source.numbers()
     filled = {name: np.flatnonzero(np.isfinite(data[name])) for name in clocks if name in data}
     rising = [len(at) > 0 and bool((np.diff(data[name][at]) > 0).all()) for name, at in filled.items()]
     if len(filled) < len(clocks) or not all(rising):
@@ -126,17 +125,6 @@ def by_clock(source: Source, where: str) -> Source:
     found = _parted(source, where, "blocks side by side", parts)
     text = next((text for text, name in source.aliases.items() if name == first), first)
     found.aliases = {**found.aliases, text.removesuffix(" 1"): names[first], same: names[first]}
-    return found
-
-
-def _numbers(source: Source, names: Sequence[str]) -> dict[str, Array]:
-    """Return those of some columns that hold numbers."""
-    with suppress(InputError):
-        return dict(source.read(names))
-    found = dict[str, Array]()
-    for name in names:
-        with suppress(InputError):
-            found |= source.read([name])
     return found
 
 
@@ -161,7 +149,7 @@ def by_rows(source: Source, where: str) -> Source:
     apart = sum(map(len, kinds)) == len(frozenset().union(*kinds)) and all(len(kind) > 1 for kind in kinds)
     if len(kinds) < 2 or not apart or not any(_is_clock(source, name) for name in every):
         return source
-    data = _numbers(source, source.names)
+    data = source.numbers()
     parts = {}
     if any(name not in data for names in kinds.values() for name in names):
         return source
@@ -175,47 +163,89 @@ def by_rows(source: Source, where: str) -> Source:
     return _parted(source, where, "channels in rows of their own", parts)
 
 
-MOST_NAMES = 12
-"""Columns of a table with a row per value at most: time, run, name, value, and what a database adds."""
+MOST_NAMES = 40
+"""Columns of a table with a row per value at most: time, run, name, value, what a device or database adds."""
 LOOKED_AT = 1000
 """Rows that are looked at to see which columns vary."""
+LABELS = {
+    "channel",
+    "ch",
+    "chan",
+    "kanal",
+    "sensor",
+    "probe",
+    "id",
+    "name",
+    "signal",
+    "variable",
+    "tag",
+    "address",
+}
+"""Words for a column that says whose the values are; whole numbers are names there."""
+VALUES = {"value", "reading", "wert", "messwert", "result", "measurement"}
+"""Words for a column of values among other numbers."""
 
 
 def by_signal(source: Source, where: str) -> Source:
-    """Return the signals of a table with a row per value (time, name, value) as columns.
+    """Return the signals of a table with a row per value (time, name or channel, value) as columns.
 
-    Columns that are the same throughout, or for each name, are left out. Any other table is returned as it
-    is: one with more than one column of words, or of numbers beside time and run, or whose values have a
-    unit, which several quantities cannot share.
+    Columns that are the same throughout, or for each name, are left out; one of these may state units. Of
+    several times that with most values is kept. Any other table is returned as it is: one with more than one
+    column of names, or of numbers beside time, run and a count of rows where none is called a value.
     """
     if not 3 <= len(source.names) <= MOST_NAMES:
         return source
     head = _head(source, LOOKED_AT)
+    words = {name: set(re.findall(r"[^\W_\d]+", split_header(name)[0].lower())) for name in head}
     columns = {name: cells for name, cells in head.items() if len(set(cells)) > 1}
-    words = [name for name, cells in columns.items() if not any(map(is_number, cells))]
-    stems = {name: split_unit(split_header(name)[0])[0].lower().strip("_") for name in source.names}
-    stamps = [name for name in columns if stems[name] in TIME_WORDS]
-    names = [name for name in words if name not in stamps]
+    kinds = {name: len(set(cells)) for name, cells in columns.items()}
+    stamps = sorted((n for n in columns if _is_clock(source, n)), key=lambda n: -kinds[n])
+    texts = [n for n, cells in head.items() if n not in stamps and not any(map(is_number, cells))]
+    names = [n for n in columns if n in texts or (n not in stamps and words[n] & LABELS)]
     if not names and len(columns) == len(stamps) + 1:  # one signal after the other
-        same = (name for name in head if name not in columns and not any(map(is_number, head[name])))
-        names = [name for name in same if len(set(source.labels(name))) > 1]
-    kinds = len(set(head[names[0]])) if names else 0
-    numbers = [
-        name for name, cells in columns.items()
-        if name not in (*words, *stamps) and stems[name] not in RUN_WORDS
-        and len({*zip(cells, head[names[0]] if names else cells, strict=True)}) > kinds
-    ]  # fmt: skip
-    if len(names) != 1 or len(numbers) != 1 or numbers[0] in source.units or split_unit(numbers[0])[1]:
+        names = [n for n in texts if len(set(source.labels(n))) > 1]
+    names.sort(key=lambda n: -kinds.get(n, 1))
+    if not names:
         return source
-    labels = np.array(source.labels(names[0]))
+    first = head[names[0]]
+    varying = [n for n in columns if len({*zip(columns[n], first, strict=True)}) > kinds.get(names[0], 1)]
+    runs = [n for n in columns if words[n] & {*RUN_WORDS} and n not in (*names, *stamps)]
+    numbers = [
+        n for n in varying if n not in (*texts, *stamps, *runs, names[0]) and not _counts_rows(head[n])
+    ]
+    numbers = [n for n in numbers if words[n] & VALUES] or numbers if len(numbers) > 1 else numbers
+    shared = (
+        numbers and (numbers[0] in source.units or split_unit(numbers[0])[1]) and not words[names[0]] & LABELS
+    )
+    if len(numbers) != 1 or shared or not {*names[1:]}.isdisjoint(varying):
+        return source
+    labels, (value,) = np.array(source.labels(names[0])), numbers
     signals = list(dict.fromkeys(labels))
     if not 2 <= len(signals) <= len(labels) / 2:
         return source
-    beside = [name for name in columns if name in stamps or stems[name] in RUN_WORDS]
-    data, found = source.read([*beside, numbers[0]]), stems_of(signals, [None] * len(signals), where)
-    parts = {}
-    for stem, (label, _) in found.items():
-        mine = labels == label
-        parts[stem] = {stem: (stem, data[numbers[0]][mine]), **{n: (n, data[n][mine]) for n in beside}}
-    source.units = {**source.units, **{stem: unit for stem, (_, unit) in found.items() if unit}}
+    called = [s if names[0] in texts else f"{names[0]} {s}" for s in signals]
+    beside, units = (
+        [*stamps[:1], *runs],
+        _units_of(source, head, [n for n in texts if n not in varying], labels),
+    )
+    found = stems_of(called, [units.get(s, source.units.get(value)) for s in signals], where)
+    data, parts = source.read([*beside, value]), {}
+    for signal, (stem, (_, unit)) in zip(signals, found.items(), strict=True):
+        mine = labels == signal
+        parts[stem] = {stem: (stem, data[value][mine]), **{n: (n, data[n][mine]) for n in beside}}
+        source.units = {**source.units, **({stem: unit} if unit else {})}
     return _parted(source, where, "a row per value", parts)
+
+
+def _counts_rows(cells: Sequence[str]) -> bool:
+    """Say whether a column is 0, 1, 2, ... or another such number of the row."""
+    return all(map(is_number, cells)) and bool((np.diff([float(cell) for cell in cells]) == 1).all())
+
+
+def _units_of(
+    source: Source, head: Mapping[str, Sequence[str]], texts: Sequence[str], labels: Array
+) -> dict[str, str]:
+    """Return the units of signals, by label, where a column holds nothing but units."""
+    stated = next((n for n in texts if "unit" in n.lower() and all(map(unit_of, head[n]))), None)
+    cells = source.texts(stated) if stated else None
+    return {s: u for s, cell in zip(labels, cells or (), strict=False) if (u := unit_of(str(cell)))}

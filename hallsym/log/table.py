@@ -67,14 +67,27 @@ class Source(ABC):
         """Return whole columns, each of shape (rows,)."""
         return joined(list(self.chunks(names, CHUNK_ROWS)), names)
 
+    def numbers(self, names: Sequence[str] | None = None, most: int | None = None) -> dict[str, Array]:
+        """Return those of some columns (default: all) that hold numbers, of shape (rows,); `most` rows."""
+        found, names = dict[str, Array](), self.names if names is None else names
+        for some in (names, *([name] for name in names)):
+            if some and not found.keys() >= {*some}:
+                with suppress(InputError):  # words
+                    found |= self._first(some, most)
+        return found
+
+    def _first(self, names: Sequence[str], most: int | None) -> Mapping[str, Array]:
+        pieces, rows = list[Mapping[str, Array]](), 0
+        for piece in self.chunks(names, most or CHUNK_ROWS):
+            pieces.append(piece)
+            rows += len(piece[names[0]])
+            if most and rows >= most:
+                break
+        return {name: values[:most] for name, values in joined(pieces, names).items()}
+
     def head(self, count: int, most: int) -> list[list[str]]:
         """Return the first rows as text, of at most `most` columns; "" for anything but a number."""
-        found, names = dict[str, Array](), self.names[:most]
-        for some in (names, *([name] for name in names)):
-            with suppress(InputError):  # words
-                found |= (
-                    next(iter(self.chunks(some, count)), {}) if some and not found.keys() >= {*some} else {}
-                )
+        names, found = self.names[:most], self.numbers(self.names[:most], count)
         values = [np.asarray(found.get(name, ())[:count], float).tolist() for name in names]
         columns = [[f"{value:.9g}" for value in own] for own in values]
         rows = max(map(len, columns), default=0)
