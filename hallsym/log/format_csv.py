@@ -11,7 +11,7 @@ from hallsym.errors import InputError, quoted
 from hallsym.log.arrow import Timed
 from hallsym.log.pace import pace_in
 from hallsym.log.table import load
-from hallsym.log.text.cells import MISSING, Convention, as_float
+from hallsym.log.text.cells import MISSING, Convention, as_float, is_number
 from hallsym.log.text.sniff import Dialect, Encoded, sniffed, split
 from hallsym.output import csv_text
 from hallsym.units import Array
@@ -131,8 +131,15 @@ class CsvWriter:
 def first_fault(source: CsvSource, indices: Sequence[int], error: Exception) -> InputError:
     """Return the error that says where the first bad line or cell of a CSV file is."""
     dialect, clean = source.dialect, cleaning(source.dialect)
+    known = {text for text, _ in dialect.stems.values()}
     for number, line in enumerate(source.text.lines(source.where), start=1):
         text = clean(f"{line}\n")[:-1] if number >= dialect.first else ""
+        cells = split(line, dialect.delimiter) if number >= dialect.first else []
+        if line not in dialect.repeated and known & {*cells} and not any(map(is_number, cells)):
+            return InputError(
+                f"Line {number} of {source.where} names the columns anew, and others or in another order:"
+                " cut the file into two there and give both."
+            )
         if not text:
             continue
         cells = split(text, dialect.sign)

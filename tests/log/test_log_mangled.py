@@ -219,7 +219,6 @@ def test_what_programs_write(tmp_path: Path, head: list[str], body: list[str]) -
     [
         ("".join(f"{k};{k},5\n" for k in range(30)), "must hold column names"),
         ("t_s,x_ref_mm\n" + "".join(f"{k},0,{k},5\n" for k in range(30)), "commas may be decimal signs too"),
-        ("t_s,x_um\n" + "".join(f"{k},{k}\n" for k in range(9)) * 2 + "x_um,t_s\n", "Line 20, column"),
         ("t_s,x_ref\n" + "".join(f"{k},{k},{k}\n" for k in range(30)), "Line 2 of .* must have 2 cells"),
         ("t;x_ref_um\n0;1\n" + "".join(f"{k};{k % 900},5\n" for k in range(40000)) + "1;1.234,5\n",
          "Line 40003.*if a point separates thousands, state --decimal ,"),
@@ -302,5 +301,5 @@ def test_names_in_another_order_are_no_header_that_comes_again(tmp_path: Path) -
     (tmp_path / "log.csv").write_text(
         head + rows + head.replace("12:30", "12:40").replace("x_ref_m,y_ref_m", "y_ref_m,x_ref_m") + rows
     )
-    with pytest.raises(InputError, match=r"Line 14, column .* must be a number"):
+    with pytest.raises(InputError, match=r"Line 14 .* names the columns anew"):
         read_log(tmp_path / "log.csv").array("x_ref_m")

@@ -8,7 +8,7 @@ import gzip
 import io
 import os
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -17,7 +17,7 @@ from typing import IO, NamedTuple, cast
 
 from hallsym.errors import InputError
 from hallsym.log.arrow import time_form
-from hallsym.log.columns import stems_of, unit_of
+from hallsym.log.columns import split_header, stems_of, unit_of
 from hallsym.log.text.cells import (
     LABELS,
     MISSING,
@@ -155,10 +155,12 @@ class Split:
         """Return the index of the names and of the first row of data under them.
 
         The names are those words above the data, no units, that differ most from each other; of several such
-        rows the last. Damaged rows may stand between names and data.
+        rows those with most units, then the last. Damaged rows may stand between names and data.
         """
         count, width = len(self.rows), self.width
-        data = [len(row) == width and n > 0 for row, n in zip(self.rows, numeric, strict=True)]
+        usual = sorted(n for row, n in zip(self.rows, numeric, strict=True) if len(row) == width and n)
+        half = usual[len(usual) // 2] / 2 if usual else 0.0  # a row of settings has fewer numbers
+        data = [len(row) == width and n > half for row, n in zip(self.rows, numeric, strict=True)]
         start = next(  # of several rows that look like data; where the rows are few, of fewer
             (k for n in (STEADY, 2, 1) for k in range(count) if data[k : k + n] == [True] * n), 0
         )
@@ -166,11 +168,18 @@ class Split:
         words = [k for k in words if abs(len(self.rows[k]) - width) <= 1] or words[-1:]
         if words:
             names = [k for k in words if not is_unit_row(self.rows[k])] or words
-            return max(names, key=lambda k: (min(len(set(self.rows[k])), width), k)), words[-1] + 1
+            first = words[-1] + 1
+            while first < start and len(self.rows[first]) == width and 0 < numeric[first] <= half:
+                first += 1
+            return max(names, key=self._told), first
         first = next((k for k, row in enumerate(self.rows) if row), -1)
         if first < 0 or numeric[first] >= min(len(self.rows[first]), LOOKED_AT):
             return -1, 0
         return first, first + 1
+
+    def _told(self, k: int) -> tuple[int, int, int]:
+        row = self.rows[k]
+        return min(len(set(row)), self.width), sum(bool(split_header(cell)[1]) for cell in row), k
 
     @property
     def names(self) -> list[str]:
@@ -245,6 +254,9 @@ def sniffed(
             at += 1
         lines = [*lines[:at], *(line._replace(text=spelling(line.text)) for line in lines[at:])]
     table = _table(lines[:MOST], delimiter, where)
+    if table.top < 0:
+        lines = _with_names(lines, table, where)
+        written, table = lines, _table(lines[:MOST], table.delimiter, where)
     first, units_line, units = table.units(lines)
     if not units and first < len(lines):
         units = [unit_behind(cell) or "" for cell in split(written[first].text, table.delimiter)]
@@ -319,11 +331,6 @@ def _sample(text: Encoded, where: str) -> tuple[list[Line], tuple[str, ...]]:
 def _table(lines: Sequence[Line], delimiter: str | None, where: str) -> Split:
     """Return the table under the delimiter that fits best."""
     table = max((Split(lines, d) for d in ((delimiter,) if delimiter else DELIMITERS)), key=lambda t: t.fit)
-    if table.top < 0:
-        raise InputError(
-            f"Line {lines[0].number} of {where} must hold column names such as hall_a_m; it holds"
-            " numbers: write a line of names above them."
-        )
     number, text = lines[table.top].number, lines[table.top].text
     other = next((d for d in DELIMITERS if d not in (delimiter, BLANKS) and d in text), None)
     if delimiter and table.width == 1 and other:  # one column of a line that another one would split
@@ -333,6 +340,21 @@ def _table(lines: Sequence[Line], delimiter: str | None, where: str) -> Split:
             f" --delimiter {DELIMITERS[other]}."
         )
     return table
+
+
+def _with_names(lines: Sequence[Line], table: Split, where: str) -> list[Line]:
+    """Return lines of numbers below one of names that stand in a line each: `# NAME0 = Hall A (um)`."""
+    at = next(k for k, line in enumerate(lines) if not line.comment)
+    series = defaultdict[str, list[str]](list)
+    for name, value in _facts(lines[:at]).items():
+        series[re.sub(r"\d+", "", name)].append(re.sub(r"\s+(?![(\[])", "_", value))
+    names = next((own for own in series.values() if len(own) == len({*own}) == table.width > 1), [])
+    if not names or any(map(is_number, names)):
+        raise InputError(
+            f"Line {lines[at].number} of {where} must hold column names such as hall_a_m; it holds"
+            " numbers: write a line of names above them."
+        )
+    return [*lines[:at], Line(lines[at].number - 1, table.delimiter.join(names)), *lines[at:]]
 
 
 def _numbers(body: list[list[str]], delimiter: str, decimal: str | None, where: str) -> Convention:
