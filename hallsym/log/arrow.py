@@ -233,7 +233,7 @@ def source_of(data: Any, where: str) -> Memory:
         name
         for name, values in given.items()
         if (is_numeric(typed[name]) or name in timed if name in typed else values.dtype.kind in "fiu")
-        or (name in words and is_run_word(name))
+        or name in words
     ]
     source = Memory({})
     source.take(stems_of(kept), {k: timed[name] for k, name in enumerate(kept) if name in timed}, where)
@@ -312,7 +312,7 @@ def _samples(columns: Mapping[str, Any], rows: int) -> Iterator[tuple[str, Any]]
     each = np.repeat(np.arange(rows), shared)
     for name, column in columns.items():
         yield name, load("pyarrow.compute").list_flatten(column) if name in lists else column.take(each)
-    if not any(is_run_word(name) for name in columns):
+    if len(lists) > 1 and not any(is_run_word(name) for name in columns):
         yield RUN, load("pyarrow").chunked_array([each])
 
 

@@ -107,8 +107,8 @@ def _rows(whole: Any) -> tuple[Any, dict[str, Any]]:
     """Return the object that holds the samples, or a list of them, and the numbers and words beside it."""
     if not isinstance(whole, dict):
         return whole, {}
-    facts = {name: own for name, own in whole.items() if isinstance(own, int | float | str)}
-    parts = [own for own in whole.values() if isinstance(own, list | dict) and own]
+    facts, parts = _facts(whole), [own for own in whole.values() if isinstance(own, list | dict) and own]
+    parts = [own for own in parts if isinstance(own, list) or len(_facts(own)) < len(own)]
     lists = [own for own in parts if isinstance(own, list)]
     for names in (own for own in lists if all(isinstance(name, str) for name in own)):
         for rows in lists:  # as pandas writes a matrix
@@ -118,6 +118,13 @@ def _rows(whole: Any) -> tuple[Any, dict[str, Any]]:
         return lists[0], facts
     alike = len(parts) > 1 and not lists and len({frozenset(own) for own in parts}) == 1
     return parts if alike else whole, facts
+
+
+def _facts(whole: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the numbers and words of an object, and of those in it that hold nothing else."""
+    inner = [_facts(own) for own in whole.values() if isinstance(own, dict)]
+    own = {name: value for name, value in whole.items() if isinstance(value, int | float | str)}
+    return {name: value for facts in (*inner, own) for name, value in facts.items()}
 
 
 class ParquetWriter:

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.log.columns import RUN, RUN_WORDS, T, is_time_word, split_header, stems_of, unit_of
+from hallsym.log.columns import RUN, RUN_WORDS, T, is_run_word, is_time_word, split_header, stems_of, unit_of
 from hallsym.log.groups import Group, GroupedSource
 from hallsym.log.pace import Paced
 from hallsym.log.table import Arrays, Source
@@ -31,6 +31,7 @@ def _parted(
     for name, columns in parts.items():
         part = Arrays({own: values for own, (_, values) in columns.items()})
         part.units = {own: source.units[n] for own, (n, _) in columns.items() if n in source.units}
+        part.pace = source.pace
         groups.append(Group(name, part))
     found = GroupedSource(where, kind, groups, left_out or source.left_out, None, files=True)
     found.notes = (*source.notes, *found.notes)
@@ -167,22 +168,9 @@ MOST_NAMES = 40
 """Columns of a table with a row per value at most: time, run, name, value, what a device or database adds."""
 LOOKED_AT = 1000
 """Rows that are looked at to see which columns vary."""
-LABELS = {
-    "channel",
-    "ch",
-    "chan",
-    "kanal",
-    "sensor",
-    "probe",
-    "id",
-    "name",
-    "signal",
-    "variable",
-    "tag",
-    "address",
-}
+LABELS = re.compile("ch|chan|channel|kanal|sensor|probe|id|name|signal|variable|tag|address")
 """Words for a column that says whose the values are; whole numbers are names there."""
-VALUES = {"value", "reading", "wert", "messwert", "result", "measurement"}
+VALUES = re.compile("value|reading|wert|messwert|result|measurement")
 """Words for a column of values among other numbers."""
 
 
@@ -196,50 +184,52 @@ def by_signal(source: Source, where: str) -> Source:
     if not 3 <= len(source.names) <= MOST_NAMES:
         return source
     head = _head(source, LOOKED_AT)
-    words = {name: set(re.findall(r"[^\W_\d]+", split_header(name)[0].lower())) for name in head}
-    columns = {name: cells for name, cells in head.items() if len(set(cells)) > 1}
-    kinds = {name: len(set(cells)) for name, cells in columns.items()}
-    stamps = sorted((n for n in columns if _is_clock(source, n)), key=lambda n: -kinds[n])
+    words = {name: re.findall(r"[^\W_\d]+", split_header(name)[0].lower()) for name in head}
+    kinds = {name: len(set(cells)) for name, cells in head.items()}
+    stamps = sorted((n for n in head if kinds[n] > 1 and _is_clock(source, n)), key=lambda n: -kinds[n])
     texts = [n for n, cells in head.items() if n not in stamps and not any(map(is_number, cells))]
-    names = [n for n in columns if n in texts or (n not in stamps and words[n] & LABELS)]
-    if not names and len(columns) == len(stamps) + 1:  # one signal after the other
-        names = [n for n in texts if len(set(source.labels(n))) > 1]
-    names.sort(key=lambda n: -kinds.get(n, 1))
+    runs = [n for n in head if is_run_word(n) and n not in (*texts, *stamps)][:1]
+    free = [n for n in head if kinds[n] > 1 and n not in (*texts, *stamps, *runs) and not _counts(head[n])]
+    names = [
+        n
+        for n in head
+        if kinds[n] > 1 and (n in texts or (n in free and any(map(LABELS.fullmatch, words[n]))))
+    ]
+    if not names and len(free) == 1:  # one signal after the other
+        kinds |= {n: len(set(source.labels(n))) for n in texts}
+        names = [n for n in texts if kinds[n] > 1]
     if not names:
         return source
-    first = head[names[0]]
-    varying = [n for n in columns if len({*zip(columns[n], first, strict=True)}) > kinds.get(names[0], 1)]
-    runs = [n for n in columns if words[n] & {*RUN_WORDS} and n not in (*names, *stamps)]
-    numbers = [
-        n for n in varying if n not in (*texts, *stamps, *runs, names[0]) and not _counts_rows(head[n])
-    ]
-    numbers = [n for n in numbers if words[n] & VALUES] or numbers if len(numbers) > 1 else numbers
-    shared = (
-        numbers and (numbers[0] in source.units or split_unit(numbers[0])[1]) and not words[names[0]] & LABELS
-    )
-    if len(numbers) != 1 or shared or not {*names[1:]}.isdisjoint(varying):
+    name = max(names, key=lambda n: kinds[n])
+    seen = len(set(head[name]))
+    varying = [n for n in head if len({*zip(head[n], head[name], strict=True)}) > seen]
+    numbers = [n for n in varying if n in free and n != name]
+    numbers = [n for n in numbers if len(numbers) == 1 or any(map(VALUES.fullmatch, words[n]))]
+    if len(numbers) != 1 or any(n in varying for n in names if n != name):
         return source
-    labels, (value,) = np.array(source.labels(names[0])), numbers
-    signals = list(dict.fromkeys(labels))
-    if not 2 <= len(signals) <= len(labels) / 2:
+    labels, (value,) = np.array(source.labels(name)), numbers
+    unit, signals = source.units.get(value) or split_unit(value)[1], list(dict.fromkeys(labels))
+    if not 2 <= len(signals) <= len(labels) / 2 or (unit and not any(map(LABELS.fullmatch, words[name]))):
         return source
-    called = [s if names[0] in texts else f"{names[0]} {s}" for s in signals]
-    beside, units = (
-        [*stamps[:1], *runs],
-        _units_of(source, head, [n for n in texts if n not in varying], labels),
-    )
-    found = stems_of(called, [units.get(s, source.units.get(value)) for s in signals], where)
+    units = _units_of(source, head, [n for n in texts if n not in varying], labels)
+    called = [label if name in texts else f"{name} {label}" for label in signals]
+    found = stems_of(called, [units.get(label, source.units.get(value)) for label in signals], where)
+    beside = {**{n: n for n in stamps[:1]}, **dict.fromkeys(runs, RUN)}
     data, parts = source.read([*beside, value]), {}
     for signal, (stem, (_, unit)) in zip(signals, found.items(), strict=True):
         mine = labels == signal
-        parts[stem] = {stem: (stem, data[value][mine]), **{n: (n, data[n][mine]) for n in beside}}
+        parts[stem] = {stem: (stem, data[value][mine])}
+        parts[stem] |= {own: (n, data[n][mine]) for n, own in beside.items()}
         source.units = {**source.units, **({stem: unit} if unit else {})}
-    return _parted(source, where, "a row per value", parts)
+    made = _parted(source, where, "a row per value", parts)
+    made.aliases = {**made.aliases, **dict.fromkeys(runs, RUN)}
+    return made
 
 
-def _counts_rows(cells: Sequence[str]) -> bool:
+def _counts(cells: Sequence[str]) -> bool:
     """Say whether a column is 0, 1, 2, ... or another such number of the row."""
-    return all(map(is_number, cells)) and bool((np.diff([float(cell) for cell in cells]) == 1).all())
+    whole = all(cell.isdecimal() for cell in cells)
+    return whole and bool((np.diff([int(cell) for cell in cells]) == 1).all())
 
 
 def _units_of(

@@ -86,10 +86,13 @@ class Source(ABC):
         return {name: values[:most] for name, values in joined(pieces, names).items()}
 
     def head(self, count: int, most: int) -> list[list[str]]:
-        """Return the first rows as text, of at most `most` columns; "" for anything but a number."""
+        """Return the first rows as text, of at most `most` columns."""
         names, found = self.names[:most], self.numbers(self.names[:most], count)
-        values = [np.asarray(found.get(name, ())[:count], float).tolist() for name in names]
-        columns = [[f"{value:.9g}" for value in own] for own in values]
+        columns = [
+            [f"{value:.9g}" for value in np.asarray(found[name], float).tolist()] if name in found
+            else [label(cell) for cell in (self.texts(name) if self.small else None) or ()][:count]
+            for name in names
+        ]  # fmt: skip
         rows = max(map(len, columns), default=0)
         return [[column[k] if k < len(column) else "" for column in columns] for k in range(rows)]
 

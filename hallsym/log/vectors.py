@@ -218,7 +218,8 @@ def arranged(
     found = []
     for group, own in paths.items():
         above = {path.rpartition(by): value for path, value in scalars.items()}
-        stated = pace_in({p[2]: v for p, v in above.items() if f"{group}{by}".startswith(p[0] + p[1])})
+        mine = {p[2]: v for p, v in above.items() if not runs or f"{group}{by}".startswith(p[0] + p[1])}
+        stated = pace_in(mine)
         if runs and max(vector.rows for vector in own.values()) > 1:  # one is a setting of the run, no sample
             left_out |= {name: "it holds one value" for name, vector in own.items() if vector.rows == 1}
             own = {name: vector for name, vector in own.items() if vector.rows > 1}
