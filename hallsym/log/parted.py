@@ -209,17 +209,20 @@ def by_signal(source: Source, where: str) -> Source:
         return source
     labels, (value,) = np.array(source.labels(name)), numbers
     unit, signals = source.units.get(value) or split_unit(value)[1], list(dict.fromkeys(labels))
-    if not 2 <= len(signals) <= len(labels) / 2 or (unit and not any(map(LABELS.fullmatch, words[name]))):
+    alike = unit and not (stamps and any(map(LABELS.fullmatch, words[name])))
+    if not 2 <= len(signals) <= len(labels) / 2 or alike:
         return source
+    beside = {**{n: n for n in stamps[:1]}, **dict.fromkeys(runs, RUN)}
+    data, mine = source.read([*beside, value]), {label: labels == label for label in signals}
+    times = [data[stamps[0]][own] for own in mine.values()] if stamps else []
+    if times and max(map(np.min, times)) > min(map(np.max, times)):
+        return source  # devices one after the other
     units = _units_of(source, head, [n for n in texts if n not in varying], labels)
     called = [label if name in texts else f"{name} {label}" for label in signals]
     found = stems_of(called, [units.get(label, source.units.get(value)) for label in signals], where)
-    beside = {**{n: n for n in stamps[:1]}, **dict.fromkeys(runs, RUN)}
-    data, parts = source.read([*beside, value]), {}
-    for signal, (stem, (_, unit)) in zip(signals, found.items(), strict=True):
-        mine = labels == signal
-        parts[stem] = {stem: (stem, data[value][mine])}
-        parts[stem] |= {own: (n, data[n][mine]) for n, own in beside.items()}
+    parts = dict[str, dict[str, tuple[str, Array]]]()
+    for (stem, (_, unit)), own in zip(found.items(), mine.values(), strict=True):
+        parts[stem] = {stem: (stem, data[value][own]), **{k: (n, data[n][own]) for n, k in beside.items()}}
         source.units = {**source.units, **({stem: unit} if unit else {})}
     made = _parted(source, where, "a row per value", parts)
     made.aliases = {**made.aliases, **dict.fromkeys(runs, RUN)}
