@@ -109,8 +109,6 @@ CHINESE |= {"run": "次数", "t_s": "时间", "z_m": "高度"}
 HALLS, VERTICAL = ("hall_a_m", "hall_b_m", "hall_c_m"), ("z_m", "rx_rad", "ry_rad")
 LASER = ("x_ref_m", "y_ref_m", "rz_ref_rad")
 UNIT = {"t_s": "ms"} | {c: "um" if c.endswith("_m") else "urad" for c in (*HALLS, *VERTICAL, *LASER)}
-NANO = {c: {"um": "nm", "urad": "nrad"}.get(u, u) for c, u in UNIT.items()}
-MILLI = {c: u.replace("um", "mm") for c, u in UNIT.items()} | {"t_s": "s"}
 SYMBOL = {"um": "µm", "urad": "µrad", "deg": "°", "v": "V", "mv": "mV"}
 
 BRACKETS, ROUND, SNAKE, ASIDE = "{name} [{unit}]", "{name} ({unit})", "{name}_{plain}", "{name}|{plain}"
@@ -214,11 +212,6 @@ def comma(value: float | str) -> str:
     return value if isinstance(value, str) else f"{value:.9g}".replace(".", ",")
 
 
-def thousands(value: float) -> str:
-    """German numbers with points between thousands."""
-    return f"{value:,.3f}".translate(str.maketrans(".,", ",."))
-
-
 def text(
     by: str = ",",
     *,
@@ -262,12 +255,6 @@ def stamps(seconds: np.ndarray, start: str = "2026-03-02T23:59:58") -> list[str]
     """The time of day in each row, to the microsecond."""
     moments = np.datetime64(start, "us") + np.round(seconds * 1e6).astype("timedelta64[us]")
     return [str(moment).replace("T", " ") for moment in moments]
-
-
-def german_dates(seconds: np.ndarray) -> list[str]:
-    """Dates as Germans write them."""
-    parts = (re.split(r"[- ]", stamp) for stamp in stamps(seconds, "2026-03-02T08:00:00"))
-    return [f"{day}.{month}.{year} {clock.replace('.', ',')}" for year, month, day, clock in parts]
 
 
 def gnuplot_blocks(path: Path, data: Columns) -> Written:
@@ -877,24 +864,43 @@ def knows(write: Write, **known: Known) -> Write:
     return more
 
 
+def timeless(file: str, save: Save, words: Sequence[str] = ()) -> Write:
+    """One run without times; the file states how far apart samples are."""
+    return one_run(knows(saved(file, save, words=words, without=("t_s",)), t_s=Known("t", "s")))
+
+
+def name_by_name(names: list[str]) -> str:
+    """A header of comments, as controllers of PI write: a line for each name."""
+    lines = [f"# NAME{k} = {name}" for k, name in enumerate(names)]
+    return "\n".join(
+        ["# VERSION = 1", f"# DIM = {len(names)}", "# SAMPLE_TIME = 0.005", *lines, "# END_HEADER"]
+    )
+
+
+def reading_buffer(file: Path, columns: Columns) -> None:
+    """A row for each reading of a scanning instrument: its channel, value, unit, and times."""
+    (_, _, times), *channels = named(columns)
+    rows = [(float(t), name, unit, float(x[k])) for k, t in enumerate(times) for name, unit, x in channels]
+    text()(file, {"Index": range(1, len(rows) + 1), "Reading": [r[3] for r in rows],
+                  "Unit": [r[2] for r in rows], "Digits": [6.5] * len(rows), "Channel": [r[1] for r in rows],
+                  "Fractional Seconds": [r[0] % 1 for r in rows],
+                  "Relative Time": [r[0] / 1e3 for r in rows]})  # fmt: skip
+
+
+def json_channels(file: Path, columns: Columns) -> None:
+    """An object for each channel, with its name and values."""
+    channels = [{"name": name, "data": x.tolist()} for name, x in columns.items()]
+    file.write_text(json.dumps({"header": {"sampleRate": 200}, "channels": channels}))
+
+
 FILES: dict[str, LabFile] = {
     "decimal commas": LabFile(saved("Messung.csv", text(";", number=comma, encoding="latin-1", end="\r\n"),
                                     ROUND, GERMAN)),
-    "UTF-16 of Excel": LabFile(saved("export.txt", text("\t", encoding="utf-16", end="\r\n"))),
-    "sep= and trailing separators": LabFile(saved("log.csv", text(
-        ";", above="\ufeffsep=;\r\n", head=lambda names: ";".join(names) + ";", last=";", end="\r\n"),
-        "{name} / {unit}")),
     "units in a second row": LabFile(saved("stage12.tsv", text(
         "\t", head=in_two_rows, above="# stage 12, probes re-seated on Monday\n# operator: M.\n"), ASIDE)),
-    "names in a comment": LabFile(saved("run.dat", text(
-        " ", above="# saved by rig.py\n", head=lambda names: "# " + " ".join(names), number="{:.12e}".format),
-        SNAKE, UNDER)),
     "no units": LabFile(saved("plain.csv", text(), "{name}", units={**UNIT, "t_s": "s"})),
-    "no units, millimetres": LabFile(saved("plain.csv", text(), "{name}", units=MILLI)),
     "line breaks in names": LabFile(saved("quoted.csv", text(", "), '"{name}\n[{unit}]"')),
     "times of day": LabFile(saved("logger.csv", text(), clock=("Timestamp", stamps))),
-    "gzip": LabFile(saved("log.csv.gz", text())),
-    "another suffix": LabFile(saved("lab.log", text(";", number=comma), words=("--format", "csv"))),
     "blocks of gnuplot": LabFile(gnuplot_blocks),
     "oscilloscope": LabFile(one_run(of_columns("scope.csv", SCOPE, text(
         head=lambda names: ",".join(names) + "\nsecond,Volt,Volt,deg", number="{:.10E}".format))), "rotary"),
@@ -934,12 +940,9 @@ FILES: dict[str, LabFile] = {
     "wrapped degrees": LabFile(of_columns("angles.csv", WRAPPED, text("\t"), BRACKETS), "chip"),
     "an encoder without units": LabFile(one_run(of_columns("turn.dat", UNITLESS_TURN, text(" "))), "rotary"),
     "millivolts": LabFile(board(places=True), "halbach"),
-    "unnamed index": LabFile(saved("frame.csv", text(), before={"": np.arange})),
     "columns numbered by pandas": LabFile(knows(
         saved("merged.csv", numbered_by_pandas, BRACKETS, NUMBERED, NUMBERED_UNITS),
         **{c: Known(NUMBERED[c], "um") for c in HALLS})),
-    "points between thousands": LabFile(saved("tausend.csv", text(";", number=thousands), units=NANO)),
-    "German dates": LabFile(saved("datum.csv", text(";", number=comma), clock=("Datum", german_dates))),
     "a long preamble": LabFile(saved("daq3.csv", text(above="\n".join(PREAMBLE)))),
     "labels above names": LabFile(one_run(of_columns("tek.csv", TEKTRONIX, text(above="\n".join(SETTINGS)))),
                                   "rotary"),
@@ -951,6 +954,16 @@ FILES: dict[str, LabFile] = {
     "names before numbers": LabFile(saved("plot.csv", names_before_numbers, SNAKE, UNDER)),
     "a clock for each channel": LabFile(one_run(saved("scope.csv", own_clocks, ASIDE))),
     "channels in their own rows": LabFile(saved("bus.csv", own_rows), within=0.2),
+    "a stated interval": LabFile(timeless("rate.csv", text(above="Sample Interval,5,ms\n"))),
+    "names in a line each": LabFile(timeless("rec0.dat", text(" ", head=name_by_name))),
+    "LabVIEW without times": LabFile(one_run(saved(
+        "noX.lvm", text("\t", head=of_labview, number=comma), ASIDE,
+        clock=("X_Value", lambda t: [""] * len(t)), after={"Comment": lambda n: [""] * n}))),
+    "a stated rate, npz": LabFile(timeless("rate.npz", lambda file, columns: np.savez(
+        file, fs=200.0, data=np.column_stack([*columns.values()]), labels=np.array([*columns])))),
+    "a channel in each row": LabFile(one_run(knows(
+        saved("buffer.csv", reading_buffer, ASIDE), t_s=Known("Relative Time", "s")))),
+    "JSON, an object a channel": LabFile(timeless("channels.json", json_channels, ("--format", "json"))),
     "statistics below": LabFile(saved("statistics.csv", with_statistics)),
     "segments of LabVIEW": LabFile(segments),
     "a file for each channel": LabFile(one_run(file_per_channel), "rotary"),

@@ -5,19 +5,17 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial, reduce
-from itertools import islice
+from functools import reduce
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hallsym.errors import InputError, quoted
-from hallsym.log.columns import unit_of
+from hallsym.log.columns import stems_of, unit_of
 from hallsym.log.groups import Group, GroupedSource
-from hallsym.log.table import TIME, load
-from hallsym.log.vectors import Vectors
-from hallsym.units import Array
+from hallsym.log.table import TIME, Arrays, load
 
 _STAMP, _SINGLE = "header", "data"
 """Field with the time of measurement; field of a message that holds nothing else (std_msgs)."""
@@ -50,7 +48,7 @@ def open_mcap(path: Path, clock: str | None = None) -> GroupedSource:
                 )
             elif rows:
                 schema = summary.schemas[channel.schema_id]
-                groups.append(Group(topic, _topic(path, topic, rows, schema, origin, left_out)))
+                groups.append(Group(topic, _topic(path, topic, schema, origin, left_out)))
     return GroupedSource(where, "MCAP", groups, left_out, clock)
 
 
@@ -61,47 +59,39 @@ def _opened(path: Path) -> Iterator[Any]:
         yield load("mcap.reader").make_reader(stream, validate_crcs=True, decoder_factories=decoders)
 
 
-@contextmanager
-def _messages(path: Path, topic: str, reverse: bool = False) -> Iterator[Any]:
-    """Open a topic: its messages, each with what was recorded of it, in the order of their times."""
-    with _opened(path) as reader:
-        found = reader.iter_decoded_messages(topics=[topic], reverse=reverse)
-        yield ((message, raw) for _, _, raw, message in found)
-
-
-def _topic(path: Path, name: str, rows: int, schema: Any, origin: int, left_out: dict[str, str]) -> Vectors:
+def _topic(path: Path, name: str, schema: Any, origin: int, left_out: dict[str, str]) -> Arrays:
     """Return the numbers of the messages of a topic, which have one length throughout.
 
     Time is that of the header's stamp, where a message has a header, else that of recording, in seconds from
     `origin`, which is in nanoseconds.
     """
-    ends = []
-    for reverse in (False, True):
-        with _messages(path, name, reverse) as messages:
-            ends.append(next(messages))
-    leaves = dict(_leaves(ends[0][0]))
-    numbers = [path for path, v in leaves.items() if isinstance(v, int | float) and not isinstance(v, bool)]
-    left_out.update({_called(path): "it holds no numbers" for path in leaves if path not in numbers})
-    stamped = (_STAMP, "stamp", "sec") in numbers
-    paths = {_called(path): path for path in numbers if path[0] != _STAMP or len(path) == 1}
-    paths = {name.rpartition("/")[2]: path for path in paths.values()} if [*paths] == [_SINGLE] else paths
-    said = dict(_FIELD.findall(schema.data.decode("utf-8", "replace").split("\n====")[0]))
-    units = {key: unit_of(said.get(str(path[0]), "")) for key, path in paths.items()}
-
-    def time(message: Any, raw: Any) -> float:
-        stamp = message.header.stamp if stamped else None
-        return ((stamp.sec * 1_000_000_000 + stamp.nanosec if stamp else raw.log_time) - origin) * 1e-9
-
-    def read(messages: Iterator[Any], names: Sequence[str], lo: int, hi: int) -> list[Array]:
-        values_of = [
-            [time(message, raw) if n == TIME else _leaf(message, paths[n]) for n in names]
-            for message, raw in islice(messages, hi - lo)
+    with _opened(path) as reader:
+        found = (
+            (message, raw.log_time) for _, _, raw, message in reader.iter_decoded_messages(topics=[name])
+        )
+        first = next(found)
+        leaves = dict(_leaves(first[0]))
+        numbers = [p for p, v in leaves.items() if isinstance(v, int | float) and not isinstance(v, bool)]
+        stamped = (_STAMP, "stamp", "sec") in numbers
+        paths = {_called(path): path for path in numbers if path[0] != _STAMP or len(path) == 1}
+        rows = [
+            (_ns(message.header.stamp) if stamped else at, *(_leaf(message, p) for p in paths.values()))
+            for message, at in chain([first], found)
         ]
-        return [np.array([row[k] for row in values_of]) for k in range(len(names))]
+    left_out.update({_called(path): "it holds no numbers" for path in leaves if path not in numbers})
+    names = [name.rpartition("/")[2]] if [*paths] == [_SINGLE] else [*paths]
+    said = dict(_FIELD.findall(schema.data.decode("utf-8", "replace").split("\n====")[0]))
+    stems = stems_of(names, [unit_of(said.get(str(path[0]), "")) for path in paths.values()])
+    ticks, *columns = (np.array(column) for column in zip(*rows, strict=True))
+    source = Arrays({**dict(zip(stems, columns, strict=True)), TIME: (ticks - origin) * 1e-9})
+    source.call({**stems, TIME: (TIME, "s")})
+    source.ends = float(source.columns[TIME][0]), float(source.columns[TIME][-1])
+    source.since = "the stamps" if stamped else "the recording"
+    return source
 
-    since = "the stamps" if stamped else "the recording"
-    first, last = (time(*end) for end in ends)
-    return Vectors({**units, TIME: "s"}, rows, read, partial(_messages, path, name), (first, last), since)
+
+def _ns(stamp: Any) -> int:
+    return int(stamp.sec * 1_000_000_000 + stamp.nanosec)
 
 
 def _leaves(value: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Any]]:

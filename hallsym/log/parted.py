@@ -181,7 +181,7 @@ def by_signal(source: Source, where: str) -> Source:
     several times that with most values is kept. Any other table is returned as it is: one with more than one
     column of names, or of numbers beside time, run and a count of rows where none is called a value.
     """
-    if not 3 <= len(source.names) <= MOST_NAMES:
+    if not (2 if source.pace else 3) <= len(source.names) <= MOST_NAMES:
         return source
     head = _head(source, LOOKED_AT)
     words = {name: re.findall(r"[^\W_\d]+", split_header(name)[0].lower()) for name in head}

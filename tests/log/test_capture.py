@@ -294,10 +294,3 @@ def test_a_port_of_somebody_else(number: int, says: str, capsys, monkeypatch, tm
     monkeypatch.setattr(serial, "serial_for_url", refused)
     assert main(["capture", "/dev/ttyACM0", "--columns", "v_sin_v", "-o", str(tmp_path / "a.csv")]) == 2
     assert says in capsys.readouterr().err
-
-
-def test_without_pyserial_the_extra_is_named(capsys, monkeypatch, tmp_path: Path) -> None:
-    monkeypatch.setitem(sys.modules, "serial", None)
-    assert main(["capture", "/dev/ttyACM0", "--columns", "v_sin_v", "-o", str(tmp_path / "a.csv")]) == 2
-    assert "Serial ports need pyserial" in (said := capsys.readouterr().err)
-    assert "pip install 'hallsym[capture]'" in said

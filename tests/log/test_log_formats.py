@@ -100,15 +100,6 @@ def test_a_table_without_numbers_keeps_its_words(tmp_path: Path) -> None:
     assert not any("units behind" in note for note in log.notes)
 
 
-def test_names_that_come_again_are_left_out(tmp_path: Path) -> None:
-    """Files put one behind another: a run begins where time starts again."""
-    part = "t_s,x_ref\ns,um\n0,1\n0.1,2\n0.2,4\n"
-    (tmp_path / "log.csv").write_text(2 * part + ",\n , \n" + part)
-    log = read_log(tmp_path / "log.csv", columns={"x_ref_um": "x_ref"})
-    assert log.runs == (0, 1, 2)
-    assert log.array("x_ref_m").tolist() == [1e-6, 2e-6, 4e-6] * 3
-
-
 def test_csv_with_byte_order_mark_crlf_and_text_column(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_bytes('\ufeff"t_s",x_ref_m,state\r\n0,1,idle\r\n1,2,move\r\n'.encode())
@@ -136,37 +127,6 @@ def test_float32_becomes_float64(tmp_path: Path) -> None:
     assert block.run == 0
     assert block.data["x_ref_m"].dtype == np.float64
     assert np.array_equal(block.data["x_ref_m"], values.astype(float))
-
-
-def test_matlab_struct_row_vectors_and_text(tmp_path: Path) -> None:
-    n = 30
-    content = {"log": {"HallA": np.arange(n)[None, :], "x_ref_um": 2.0 * np.arange(n)[:, None], "note": "a"}}
-    savemat(tmp_path / "a.mat", {**content, "gain": 3.0, "t_s": np.arange(n) * 0.1})
-    log = read_log(tmp_path / "a.mat", columns={"hall_a_um": "log.HallA"})
-    assert set(log.columns) == {"run", "hall_a_m", "x_ref_m", "t_s"}
-    assert np.allclose(log.array("hall_a_m"), np.arange(n) * 1e-6, rtol=1e-15, atol=0)
-
-
-def test_matlab_v73_is_hdf5_with_rows(tmp_path: Path) -> None:
-    with h5py.File(tmp_path / "new.mat", "w", userblock_size=512) as file:
-        file["log/hall_a_m"] = np.arange(12.0)[None, :]
-        file["log/x_ref_m"] = np.arange(12.0)[:, None]
-        file["#refs#/a"] = np.arange(12.0)
-        file["log/title"] = np.frombuffer("stage".encode("utf-16le"), np.uint16)
-        file["log/title"].attrs["MATLAB_class"] = np.bytes_(b"char")
-    log = read_log(tmp_path / "new.mat")
-    assert log.columns == ("run", "hall_a_m", "x_ref_m")
-    assert log.array("hall_a_m").tolist() == log.array("x_ref_m").tolist() == list(range(12))
-
-
-def test_hdf5_with_a_group_per_run(tmp_path: Path) -> None:
-    with h5py.File(tmp_path / "runs.h5", "w") as file:
-        for run, n in ((2, 10), (10, 12), (1, 9)):
-            file[f"data/run_{run}/x_ref_mm"] = np.full(n, float(run))
-    log = read_log(tmp_path / "runs.h5")
-    assert (log.runs, log.rows) == ((1, 2, 10), 31)
-    assert [len(block.data["x_ref_m"]) for block in log.blocks()] == [9, 10, 12]
-    assert log.run(10)["x_ref_m"][0] == pytest.approx(0.01, rel=1e-15)
 
 
 def test_hdf5_with_groups_within_a_group_per_run(tmp_path: Path) -> None:
@@ -331,26 +291,6 @@ def test_runs_with_names_are_numbered_in_their_order(tmp_path: Path) -> None:
     (tmp_path / "bad.csv").write_text("run,x_ref_um\n1,1\n1x,2\n2,3\n")
     with pytest.raises(InputError, match="Line 3, column 'run'"):
         read_log(tmp_path / "bad.csv").runs  # noqa: B018
-
-
-@pytest.mark.parametrize("kind", ["text", "typed"])
-def test_moments_of_two_files_are_compared(tmp_path: Path, kind: str) -> None:
-    """Each file's times begin with its own first sample; as moments they are 1.5 s apart."""
-    start = np.datetime64("2026-01-05T08:00:00", "us")
-    for name, begin, step in (("hall_a_m", 0.0, 0.01), ("x_ref_m", 1.5, 0.1)):
-        t = begin + np.arange(round(4 / step)) * step
-        stamps = start + np.round(t * 1e6).astype("timedelta64[us]")
-        if kind == "text":
-            rows = [f"{str(s).replace('T', ' ')},{float(v)!r}" for s, v in zip(stamps, t, strict=True)]
-            (tmp_path / f"{name}.csv").write_text("\n".join([f"stamp,{name}", *rows, ""]))
-        else:
-            import pyarrow as pa
-            from pyarrow import parquet
-
-            parquet.write_table(pa.table({"stamp": stamps, name: t}), tmp_path / f"{name}.parquet")
-    log = read_log(sorted(path for path in tmp_path.iterdir() if path.is_file()))
-    assert log.rows == 25
-    assert np.allclose(log.array("hall_a_m"), log.array("x_ref_m"), rtol=0, atol=1e-9)
 
 
 def test_files_on_one_clock_have_one_time(tmp_path: Path) -> None:

@@ -55,11 +55,6 @@ def test_every_form_is_the_same_time_over_midnight(tmp_path, form):
     assert any("holds" in note and "in seconds from its first sample on" in note for note in log.notes)
 
 
-def test_a_time_of_text_answers_to_its_own_name_too(tmp_path):
-    path = written(tmp_path / "log.csv", FORMS["time of day"])
-    assert read_log(path, columns={"t_s": "Zeit"}).array("t_s")[1] == 0.25
-
-
 def test_a_number_for_the_time_stays_the_time(tmp_path):
     path = tmp_path / "log.csv"
     rows = "\n".join(f"{0.1 * k:.1f},12:00:{k:02d},{k},{k}" for k in range(30))
@@ -178,13 +173,6 @@ def test_a_missing_moment_is_no_number_and_numpy_has_times_too():
     assert np.flatnonzero(np.isnan(seconds)).tolist() == [0, 100]
     assert seconds[1] == 0.0
     assert seconds[-1] == pytest.approx(0.25 * 198)
-
-
-def test_a_number_for_the_time_stays_the_time_beside_a_typed_one(tmp_path):
-    table = typed(TYPES["timestamp ns"]).append_column("t_s", pa.array(0.1 * np.arange(200)))
-    pq.write_table(table, tmp_path / "log.parquet")
-    assert read_log(tmp_path / "log.parquet").array("t_s")[1] == pytest.approx(0.1)
-    assert read_log(tmp_path / "log.parquet", columns={"t_s": "Stamp"}).array("t_s")[1] == 0.25
 
 
 @pytest.mark.parametrize("suffix", [".feather", ".parquet"])
