@@ -226,7 +226,8 @@ class GroupedSource(Source):
         most = max((g.rows for g in groups), default=0)
         filled = [g for g in groups if g.channels and g.rows > min(most - 1, 1)]
         if not filled:
-            raise InputError(f"Log {where} has no channel of numbers with samples; record it again.")
+            said = "".join(f"; {name} is left out: {why}" for name, why in [*left_out.items()][:SHOWN_GROUPS])
+            raise InputError(f"Log {where} has no channel of numbers with samples{said}; record it again.")
         self.left_out: dict[str, str] = {**left_out} | {
             g.name or channel: "it holds one sample"
             for g in groups

@@ -200,10 +200,11 @@ def by_signal(source: Source, where: str) -> Source:
         names = [n for n in texts if kinds[n] > 1]
     if not names:
         return source
+    stamps = stamps or [n for n in free if _rises(head[n])][:1]
     name = max(names, key=lambda n: kinds[n])
     seen = len(set(head[name]))
     varying = [n for n in head if len({*zip(head[n], head[name], strict=True)}) > seen]
-    numbers = [n for n in varying if n in free and n != name]
+    numbers = [n for n in varying if n in free and n not in (name, *stamps)]
     numbers = [n for n in numbers if len(numbers) == 1 or any(map(VALUES.fullmatch, words[n]))]
     if len(numbers) != 1 or any(n in varying for n in names if n != name):
         return source
@@ -212,7 +213,7 @@ def by_signal(source: Source, where: str) -> Source:
     alike = unit and not (stamps and any(map(LABELS.fullmatch, words[name])))
     if not 2 <= len(signals) <= len(labels) / 2 or alike:
         return source
-    beside = {**{n: n for n in stamps[:1]}, **dict.fromkeys(runs, RUN)}
+    beside = {n: n if _is_clock(source, n) else T for n in stamps[:1]} | dict.fromkeys(runs, RUN)
     data, mine = source.read([*beside, value]), {label: labels == label for label in signals}
     times = [data[stamps[0]][own] for own in mine.values()] if stamps else []
     if times and max(map(np.min, times)) > min(map(np.max, times)):
@@ -225,8 +226,14 @@ def by_signal(source: Source, where: str) -> Source:
         parts[stem] = {stem: (stem, data[value][own]), **{k: (n, data[n][own]) for n, k in beside.items()}}
         source.units = {**source.units, **({stem: unit} if unit else {})}
     made = _parted(source, where, "a row per value", parts)
-    made.aliases = {**made.aliases, **dict.fromkeys(runs, RUN)}
+    made.aliases = {**made.aliases, **{n: own for n, own in beside.items() if n != own}}
     return made
+
+
+def _rises(cells: Sequence[str]) -> bool:
+    """Say whether numbers of the first rows never fall, as times do not."""
+    steps = np.diff([float(cell) for cell in cells if re.fullmatch(r"[-+.\deE]+", cell)] or [0.0])
+    return len(steps) + 1 == len(cells) and bool((steps >= 0).all())
 
 
 def _counts(cells: Sequence[str]) -> bool:

@@ -89,7 +89,8 @@ class Source(ABC):
         """Return the first rows as text, of at most `most` columns."""
         names, found = self.names[:most], self.numbers(self.names[:most], count)
         columns = [
-            [f"{value:.9g}" for value in np.asarray(found[name], float).tolist()] if name in found
+            [f"{v:.9g}" if abs(v) < 1e9 else label(v) for v in np.asarray(found[name], float).tolist()]
+            if name in found
             else [label(cell) for cell in (self.texts(name) if self.small else None) or ()][:count]
             for name in names
         ]  # fmt: skip

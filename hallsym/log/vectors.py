@@ -180,6 +180,22 @@ def runs_of(paths: Sequence[Sequence[str]]) -> int:
     return 0
 
 
+def _by_run(path: str, array: Stored, by: str) -> Iterator[tuple[str, Stored]]:
+    """Yield the matrix of each run of an array of runs, whose longest axis is that of samples."""
+    shape = array.shape
+    runs = len(shape) == 3 and max(shape) > shape[0] > 1 and min(shape[1:]) <= MOST_COLUMNS
+    if not runs or array.dtype.kind not in "fiu":
+        yield path, array
+        return
+    for k in range(shape[0]):
+        find = partial(_part, array.find, k)
+        yield by.join((path, f"run{k}", path.split(by)[-1])), array._replace(shape=shape[1:], find=find)
+
+
+def _part(find: Callable[[Any, str], Any], k: int, file: Any, field: str) -> Any:
+    return find(file, field)[k]
+
+
 def _each(own: Mapping[str, Vector], file: Any, names: Sequence[str], lo: int, hi: int) -> list[Array]:
     return [own[name].read(file, lo, hi) for name in names]
 
@@ -195,6 +211,7 @@ def arranged(
 ) -> Source:
     """Return the table of arrays by path; `by` stands between the parts of a path."""
     vectors, left_out = dict[str, Vector](), dict(left_out)
+    arrays = {under: one for path, array in arrays.items() for under, one in _by_run(path, array, by)}
     matrices = {p.split(by)[-1]: a for p, a in arrays.items() if a.dtype.kind in "fiu" and len(a.shape) == 2}
     widths = [min(matrix.shape) for matrix in matrices.values()]  # once where each run has it
     texts = _texts(arrays, opened) if widths else ()
