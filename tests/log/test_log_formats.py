@@ -327,3 +327,23 @@ def test_files_whose_clocks_start_again_are_joined_run_by_run(tmp_path: Path, ru
         part = log.run(run)
         assert np.allclose(part["t_s"], slow, rtol=0, atol=1e-12)
         assert np.allclose(part["hall_a_m"], run + np.sin(slow), rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("head", "step"),
+    [
+        ("rig 7\nSample rate: 2 kHz\nt_s\tx_ref_um", 5e-4),
+        ("Abtastintervall [ms]\t0,25\nt_s\tx_ref_um", 2.5e-4),
+        ("Name\tx\nPort\t801\nVersion\t8\nDelta_X\t0.5\nt_s\tx_ref_um", 0.5),
+    ],
+)
+def test_a_stated_interval_gives_the_times_that_an_empty_column_does_not(
+    tmp_path: Path, head: str, step: float
+) -> None:
+    (tmp_path / "log.txt").write_text(f"{head}\n" + "".join(f"\t{k}.5\n" for k in range(30)))
+    log = read_log(tmp_path / "log.txt")
+    assert log.array("t_s") == pytest.approx(step * np.arange(30))
+    assert log.array("x_ref_m")[-1] == pytest.approx(29.5e-6)
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file["daq/sample_rate"], file["data/x_ref_m"] = 1 / step, np.arange(30.0)
+    assert read_log(tmp_path / "log.h5").array("t_s") == pytest.approx(step * np.arange(30))
