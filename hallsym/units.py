@@ -97,6 +97,7 @@ def si_name(column: str) -> str:
     return f"{stem}_{unit.si}" if unit else column
 
 
+@lru_cache(maxsize=4096)
 def require_unit(column: str) -> Unit:
     """Return the unit a column's name states; refuse a name that states none or one that cannot be."""
     stem, unit = split_unit(column)

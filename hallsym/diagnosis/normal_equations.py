@@ -22,7 +22,7 @@ from hallsym.log import Log
 from hallsym.log.batches import Batch, batches
 from hallsym.log.derived import extended
 from hallsym.model import Model
-from hallsym.model.arrays import FEWEST, on_arrays
+from hallsym.model.arrays import FEWEST, jacobian, on_arrays
 
 
 class Products(NamedTuple):
@@ -65,7 +65,7 @@ def slopes_of(models: Sequence[tuple[Model, Sequence[str]]]) -> list[ca.SX]:
     at: dict[int, tuple[ca.SX, ca.SX]] = {}
     for model, names in models:
         s, index = model.symbols, [model.names.index(name) for name in names]
-        slopes.append(ca.jacobian(s.reading, s.parameters[index]))  # what is derived depends on no parameter
+        slopes.append(jacobian(s.reading, s.parameters[index]))  # what is derived depends on no parameter
         symbols = (*ca.vertsplit(s.parameters[index]), *ca.vertsplit(s.derived))
         values = (*map(ca.SX, model.nominal[index].tolist()), *ca.vertsplit(s.derived_as))
         at |= {symbol.element_hash(): (symbol, value) for symbol, value in zip(symbols, values, strict=True)}
@@ -95,7 +95,7 @@ def _graph(model: Model, free: Sequence[int], candidates: Sequence[tuple[Model, 
     """Compile the readings of a model and all slopes; common subexpressions are computed once."""
     s = model.symbols
     reading = s.full(s.reading)
-    own = ca.jacobian(reading, ca.vertcat(s.offsets, s.parameters[list(free)]))
+    own = jacobian(reading, ca.vertcat(s.offsets, s.parameters[list(free)]))
     each, starts = slopes_of(candidates), np.cumsum([0, *(len(new) for _, new in candidates)])
     places = (
         entries(slope) + np.outer([0, 1], start) for slope, start in zip(each, starts[:-1], strict=True)
@@ -405,15 +405,27 @@ def stacked_products(
     `work`: the `Columns`. `near`: (own, K, blocks, samples) of offsets, parameters and residual, `rows`:
     (rows, blocks, samples) of the candidates, `D`: (n_pose, K, blocks, samples).
     """
-    first, blocks, precision = work.z + work.n, near.shape[2], work.precision
-    white, decoded = np.tensordot(work.whiten, near, axes=(1, 1)).swapaxes(0, 1), _decoded(D, near)
+    blocks = near.shape[2]
     shapes = (blocks, len(work.near), work.size), (blocks, work.pairs.shape[1])
     out = Products(*map(np.zeros, shapes)), Products(*map(np.zeros, shapes))
+    step = max(1, ENTRIES // near[..., 0].size)
+    for low in range(0, near.shape[3], step):
+        at = (..., slice(low, low + step))
+        _add_products(work, near[at], rows[at], D[at], out)
+    return out
+
+
+def _add_products(
+    work: Columns, near: np.ndarray, rows: np.ndarray, D: np.ndarray, out: tuple[Products, Products]
+) -> None:
+    """Add the products of some samples of each block."""
+    first, blocks = work.z + work.n, near.shape[2]
+    white, decoded = np.tensordot(work.whiten, near, axes=(1, 1)).swapaxes(0, 1), _decoded(D, near)
     for M, columns in zip(out, (white, decoded), strict=True):
-        M.border[:, :, work.near] = _gram(columns)
+        M.border[:, :, work.near] += _gram(columns)
     if not len(rows):
-        return out
-    metric = np.tensordot(precision, near, axes=(1, 1)).swapaxes(0, 1)
+        return
+    metric = np.tensordot(work.precision, near, axes=(1, 1)).swapaxes(0, 1)
     mapped = np.einsum("ikbs,oibs->okbs", D, decoded)
     for M, columns in zip(out, (metric, mapped), strict=True):
         for k, at in enumerate(work.of_channel):
@@ -423,7 +435,6 @@ def stacked_products(
         if len(own):
             square = (blocks, width, width)
             _add_own(work, rows, own, D, *(M.inner[:, place].reshape(square) for M in out))
-    return out
 
 
 def _decoded(D: np.ndarray, near: np.ndarray) -> np.ndarray:

@@ -33,7 +33,7 @@ from hallsym.log.derived import extended
 from hallsym.log.phase import continuous
 from hallsym.model import Model
 from hallsym.model.arrays import jacobian, on_arrays
-from hallsym.model.features import Features, Rows, find_features
+from hallsym.model.features import Features, Tangent, find_features
 
 # -- lossless triangles of a polynomial reading --------------------------------------------------------------
 
@@ -57,7 +57,7 @@ class RunStatistics:
     longest run has samples where these are fewer.
     `slopes`: (runs, pairs), mean product of d feature i / d column and d feature j / d column for each entry
     of `features.slope_pairs`: how noise of a logged column, pose or state, enters the residual. Where the
-    noise of the columns is known (`features.std`), of all together.
+    noise of the columns is known (`features.std`), (runs, n_features^2): of all columns together.
     `counts`: samples per run (sum of weights). `first_state`: vertical state at the reset of each run.
     `mean_state`: mean vertical state of each run. `places`: per run (n_columns, samples), pose and state
     of some samples, where the noise of the reference acts in another direction at each (`Model.typical`).
@@ -84,7 +84,7 @@ class RunStatistics:
         if std is not None:
             if not np.allclose(std**2, variance):
                 raise ValueError("these run statistics were made for another noise of the logged columns")
-            variance = np.ones(1)
+            return self.slopes.reshape(-1, f, f)
         out = np.zeros((len(self.runs), f, f))
         column, i, j = self.features.slope_pairs
         for c in np.flatnonzero(variance):
@@ -310,10 +310,9 @@ def _products(slopes: np.ndarray, features: Features, edges: Sequence[int]) -> n
     if features.std is None:
         first, second = features.entry_pairs
         return np.add.reduceat(slopes[first] * slopes[second], edges[:-1], axis=1).T
-    slopes = slopes.reshape(len(features.std), features.size, -1) * features.std[:, None, None]
+    slopes = slopes.reshape(-1, features.size, slopes.shape[1])
     every = (np.swapaxes(slopes[:, :, a:b], 0, 1).reshape(features.size, -1) for a, b in pairwise(edges))
-    _, i, j = features.slope_pairs
-    return np.array([(own @ own.T)[i, j] for own in every])
+    return np.array([(own @ own.T).ravel() for own in every])
 
 
 def _sparse(batch: Batch) -> tuple[np.ndarray, list[int]]:
@@ -398,14 +397,6 @@ class Program:
     entries: tuple[tuple[int, int], ...]
     zero_entries: tuple[tuple[int, int], ...]
     values: Callable[..., list[np.ndarray]]
-    slope_sparsity: ca.Sparsity
-
-    @cached_property
-    def pairs(self) -> np.ndarray:
-        """Features whose slopes with any column are not always 0, in pairs: (0, i, j), i <= j, (3, pairs)."""
-        rows = np.unique(np.array(self.slope_sparsity.get_triplet()[0], dtype=int))
-        moved = rows[rows >= len(self.zero_entries)]
-        return np.array([np.zeros(len(moved) * (len(moved) + 1) // 2, dtype=int), *_pairs(moved)])
 
 
 @lru_cache(maxsize=32)
@@ -423,13 +414,7 @@ def program(model: Model) -> Program:
         entries,
         zero_entries,
         on_arrays(ca.Function("tangents", inputs, [ca.densify(rows)])),
-        ca.jacobian_sparsity(rows, ca.vertcat(s.pose, s.state)),
     )
-
-
-def _pairs(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    i, j = np.triu_indices(len(rows))
-    return rows[i], rows[j]
 
 
 def _entries(jacobian: ca.SX) -> tuple[tuple[int, int], ...]:
@@ -454,11 +439,6 @@ class TangentFeatures(Features):
         return self.noise
 
     @cached_property
-    def slope_pairs(self) -> np.ndarray:
-        """Where products of two slopes are not always 0, as `Features.slope_pairs`."""
-        return program(self.model).pairs
-
-    @cached_property
     def values(self) -> Callable[..., list[np.ndarray]]:
         """`(pose, state, offsets) -> [features]` on arrays of samples; `offsets`: (z, samples)."""
         run = program(self.model).values
@@ -466,11 +446,11 @@ class TangentFeatures(Features):
 
     @cached_property
     def slopes(self) -> Callable[..., list[np.ndarray]]:
-        """`(pose, state, offsets) -> [d feature / d column]`, all of them, (n_columns * n_features, samples).
+        """`(pose, state, offsets) -> [d feature / d column]` times the noise of each column that has some.
 
-        Taken at offsets of 0: the weight of a residual does not depend on the offsets. By differences: a
-        weight needs no more digits, and derivatives of the tangent take eight times the operations. Columns
-        without noise have no weight, and a slope of 0 here.
+        Shape (noisy columns * n_features, samples). Taken at offsets of 0: the weight of a residual does not
+        depend on the offsets. By differences: a weight needs no more digits, and derivatives of the tangent
+        take eight times the operations.
         """
         values, noisy = self.values, np.flatnonzero(self.noise)
 
@@ -486,26 +466,22 @@ class TangentFeatures(Features):
             flat = moved.reshape(count, -1)
             none = np.zeros((len(offsets), flat.shape[1]))
             found = values(flat[: len(pose)], flat[len(pose) :], none)[0].reshape(self.size, -1, samples)
-            out = np.zeros((count, self.size, samples))
-            out[noisy] = np.swapaxes(found[:, 1:] - found[:, :1], 0, 1) / step[:, None]
+            out = np.swapaxes(found[:, 1:] - found[:, :1], 0, 1) * (self.noise[noisy, None] / step)[:, None]
+            out[:, : self.n_zero] = 0.0  # as in `slope_entries`
             return [out.reshape(-1, samples)]
 
         return slopes
 
-    def linear(self, p: np.ndarray) -> tuple[np.ndarray, Rows]:
-        """Return the coefficients at p, (1 + z, n_features, K), and their slopes, constant, where not nil."""
-        parts, K, z = program(self.model), len(self.model.channels), self.n_offsets
-        skip = len(parts.zero_entries) - self.n_zero
-        value = np.zeros((1 + z, self.size, K))
-        k0, j0 = np.array(parts.zero_entries[skip:], dtype=int).reshape(-1, 2).T
+    def tangent(self, p: np.ndarray) -> Tangent:
+        """Return the coefficients at `p`."""
+        parts, K = program(self.model), len(self.model.channels)
+        k0, j0 = np.array(parts.zero_entries, dtype=int).reshape(-1, 2)[: self.n_zero].T
         k, j = np.array(parts.entries, dtype=int).reshape(-1, 2).T
-        at = self.n_zero + np.arange(len(k))
-        value[1 + j0, np.arange(len(k0)), k0] = 1.0
-        value[0, at, k] = p[j] - self.at[j]
-        value[0, self.size - K + np.arange(K), np.arange(K)] = 1.0
-        slope = np.zeros((1 + z, len(k0) + len(k), len(p)))
-        slope[0, len(k0) + np.arange(len(k)), j] = 1.0
-        return value, Rows(np.append(k0, k), np.append(np.arange(len(k0)), at), slope)
+        return Tangent(
+            np.concatenate([k0, k, np.arange(K)]),
+            np.concatenate([np.zeros(len(k0)), p[j] - self.at[j], np.ones(K)]),
+            np.append(j0, self.n_offsets + j),
+        )
 
     @property
     def point(self) -> np.ndarray:

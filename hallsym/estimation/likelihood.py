@@ -12,10 +12,12 @@ F is unbiased, docs/theory.md). F is quadratic in a run's offsets d_i: they are 
 gradient and Hessian below are those of the cost that is left.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -25,11 +27,8 @@ from hallsym.log import Log
 from hallsym.log.batches import Weigh
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
-from hallsym.model.features import Features, Rows
+from hallsym.model.features import Features, Tangent
 from hallsym.model.model import Combination, Signals, Step
-
-SPARSE = 4
-"""Features per channel, over those that move the channel, above which only these are multiplied."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,25 +65,8 @@ class Coefficients:
             np.ascontiguousarray(np.transpose(slope.reshape(*shape, -1), (0, 2, 3, 1))),
         )
 
-    def slopes(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, Rows | None]:
-        """Return the coefficients, their slopes and where these are.
-
-        Where most features move a channel the slopes are as `first` gives them, and stand at None. Else they
-        are those that are not nil, (1 + n_offsets, m, n), of m pairs of a channel and a feature.
-        """
-        if (linear := self.features.linear(p)) is None:
-            return *self.first(p), None
-        c, rows = linear
-        if SPARSE * len(rows.channel) < c[0].size:
-            return c, rows.slope, rows
-        dense = np.zeros((*c.shape[:2], len(p), c.shape[2]))
-        dense[:, rows.feature, :, rows.channel] = np.swapaxes(rows.slope, 0, 1)
-        return c, dense, None
-
     def curvature(self, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Return sum of weights * d2 coefficient / dp2, shape (n, n), weights shaped as coefficients."""
-        if self.features.point is not None:  # a tangent has none
-            return np.zeros((len(p), len(p)))
         flat = np.swapaxes(weights, 1, 2).ravel()
         return self.features.expansion[1](p, self.centre, flat)
 
@@ -203,12 +185,16 @@ class Point:
         self._parts: list[_Runs] = []
         first = 0
         for log, (share, chosen) in enumerate(cost.shares):
-            (c, dc, rows), runs = share.coefficients.slopes(p[chosen]), len(share.weights)
-            together = int(np.clip(TOGETHER * SLOPES // max(dc.size, 1), 1, TOGETHER))
+            coefficients, own, runs = share.coefficients, p[chosen], len(share.weights)
+            tangent = coefficients.features.tangent(own)
+            known = coefficients.first(own) if tangent is None else (tangent,)
+            size = known[-1].size
+            together = int(np.clip(TOGETHER * SLOPES // max(size, 1), 1, TOGETHER))
             for start in range(0, max(runs, 1), together):
                 at = slice(start, min(start + together, runs))
+                which = share, at, log, slice(first + at.start, first + at.stop)
                 self._parts.append(
-                    _Runs(share, c, dc, rows, at, log, slice(first + at.start, first + at.stop))
+                    _Polynomials(*which, *known) if tangent is None else _Tangents(*which, tangent)
                 )
             first += runs
         self._kept: list[Derivatives] | None = None
@@ -267,9 +253,11 @@ class Point:
             gradients, hessians = self._kept[k] if self._kept else part.derivatives()
             gradient[chosen] += weights @ gradients
             hessian[np.ix_(chosen, chosen)] += np.einsum("r,rij->ij", weights, hessians)
-            own = np.tensordot(part.loads * weights[:, None], part.G, axes=(0, 0))
-            bend[part.log] = bend.get(part.log, 0.0) + own
-        for load, (share, chosen) in zip(bend.values(), self.cost.shares, strict=True):
+            if isinstance(part, _Polynomials):
+                own = np.tensordot(part.loads * weights[:, None], part.G, axes=(0, 0))
+                bend[part.log] = bend.get(part.log, 0.0) + own
+        for log, load in bend.items():
+            share, chosen = self.cost.shares[log]
             hessian[np.ix_(chosen, chosen)] += share.coefficients.curvature(self.p[chosen], load)
         return self.value, gradient, 0.5 * (hessian + hessian.T)
 
@@ -310,46 +298,63 @@ class Point:
 
 
 TOGETHER, SLOPES = 128, 20_000
-"""Runs whose derivatives are computed at once: 40 kB each for Model (31), fewer where slopes are more."""
+"""Runs whose derivatives are computed at once, and numbers of each: 40 kB each for Model (31), fewer runs
+where slopes are more."""
 Derivatives = tuple[np.ndarray, np.ndarray]
 """Gradients (r, n) and Hessians (r, n, n) of runs, the latter without the curvature of c(p)."""
 
 
-class _Runs:
+class _Runs(ABC):
     """The cost of some runs of one log at one parameter vector: the runs `at` of its `cost`.
 
     Shapes: r runs, m rows of a triangle, f features, K channels, n parameters, z offsets, v = z + n.
     """
 
-    def __init__(
-        self, cost: Cost, c: np.ndarray, dc: np.ndarray, rows: Rows | None, at: slice, log: int, here: slice
-    ) -> None:
+    gradients: np.ndarray
+    """Gradient of each run's F with its offsets eliminated, (r, n)."""
+
+    def __init__(self, cost: Cost, at: slice, log: int, here: slice) -> None:
         """`log`: number of the log, `here`: the runs among those of all logs."""
-        self.cost, self.c, self.dc, self.rows = cost, c, dc, rows
+        self.cost, self.log, self.here = cost, log, here
         self.at: slice | np.ndarray = at
-        self.log, self.here = log, here
         self.R_f, R_m = (part[at] for part in cost.triangles)
-        self.Q, base = cost.noise_in_features[at], c[0]
+        self.Q = cost.noise_in_features[at]
         # features of an offset have no slope, so X may leave the offsets out in Q X
-        self.QX = self.Q @ base  # (r, f, K)
-        self.covariance = np.diag(cost.reading_variance) + base.T @ self.QX
+        self.QX = self._read(self.Q)  # (r, f, K)
+        self.covariance = np.diag(cost.reading_variance) + self._read(np.swapaxes(self.QX, 1, 2))
         self.W = np.linalg.inv(self.covariance)
-        at_zero = R_m - self.R_f @ base
-        self.offsets = self._best_offsets(at_zero)
-        carried = self.R_f @ np.tensordot(self.offsets, c[1:], axes=1) if self.offsets.size else 0.0
-        self.A = at_zero - carried  # (r, m, K)
+        self.A, moved = R_m - self._read(self.R_f), self._read_offsets()
+        r, self.z = moved.shape[:2]
+        self.offsets = self._best_offsets(moved)
+        if self.z:
+            self.A -= (self.offsets[:, None] @ moved.reshape(r, self.z, -1)).reshape(self.A.shape)
         self.squares = np.swapaxes(self.A, 1, 2) @ self.A
         self.values = np.einsum("rkl,rlk->r", self.W, self.squares)
 
-    def _best_offsets(self, residual: np.ndarray) -> np.ndarray:
+    @abstractmethod
+    def _read(self, rows: np.ndarray) -> np.ndarray:
+        """Return rows (r, m, f) times the coefficients at offsets of 0, (r, m, K)."""
+
+    @abstractmethod
+    def _read_offsets(self) -> np.ndarray:
+        """Return the triangles times the coefficients of each offset, (r, z, m, K)."""
+
+    @abstractmethod
+    def _quadratic(self, fit: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        """Sum over channels k, l of B_k^T (fit_kl R_f^T R_f - noise_kl Q) B_l, (r, v, v); B: slopes of X."""
+
+    @abstractmethod
+    def _by_channel(self, left: np.ndarray) -> np.ndarray:
+        """Return left (r, i, f) times the slopes of each channel, (r, K, i, v)."""
+
+    def _best_offsets(self, moved: np.ndarray) -> np.ndarray:
         """Offsets that minimise F: linear least squares in each run."""
-        r, z, k = len(residual), len(self.c) - 1, self.cost.summary.features.n_zero
+        r, z = moved.shape[:2]
         if z == 0:
             return np.zeros((r, 0))
         L = np.linalg.cholesky(self.W)
-        moved = (self.R_f[:, None, :, :k] @ self.c[1:, :k]) @ L[:, None]  # (r, z, m, K)
-        moved = moved.reshape(r, z, -1)
-        target = (residual @ L).reshape(r, -1, 1)
+        moved = (moved @ L[:, None]).reshape(r, z, -1)
+        target = (self.A @ L).reshape(r, -1, 1)
         return solve(moved @ np.swapaxes(moved, 1, 2), moved @ target)[..., 0]
 
     def counted(self, weights: np.ndarray) -> "_Runs":
@@ -365,135 +370,193 @@ class _Runs:
         other.at = np.arange(len(self.cost.weights))[self.at][used]
         return other
 
-    @property
-    def loads(self) -> np.ndarray:
-        """Factors of c and of each E_l, (r, 1 + z)."""
-        return np.concatenate([np.ones((len(self.offsets), 1)), self.offsets], axis=1)
-
-    def _slopes(self) -> np.ndarray:
-        """dX / d(offsets, p), shape (r, K, f, v); of m `rows` alone (r, m, v)."""
-        r, z, n = len(self.offsets), len(self.c) - 1, self.dc.shape[2]
-        if self.rows is not None:
-            few = np.empty((r, len(self.rows.channel), z + n))
-            few[..., :z] = self.c[1:, self.rows.feature, self.rows.channel].T
-            few[..., z:] = self.dc[0] + np.tensordot(self.offsets, self.dc[1:], axes=1)
-            return few
-        by_channel = np.ascontiguousarray(np.transpose(self.dc, (0, 3, 1, 2)))
-        B = np.empty((r, *by_channel.shape[1:3], z + n))
-        B[..., :z] = np.transpose(self.c[1:], (2, 1, 0))
-        B[..., z:] = by_channel[0] + np.tensordot(self.offsets, by_channel[1:], axes=1)
-        return B
-
     @cached_property
     def _WSW(self) -> np.ndarray:
         return self.W @ self.squares @ self.W
-
-    @cached_property
-    def G(self) -> np.ndarray:
-        """dF / dX of each run, shape (r, f, K)."""
-        return -2.0 * (self.feature_products @ self.W + self.QX @ self._WSW)
 
     @property
     def feature_products(self) -> np.ndarray:
         """Sum of the products of each feature with each channel's residual, (r, f, K)."""
         return np.swapaxes(self.R_f, 1, 2) @ self.A
 
-    @cached_property
-    def gradients(self) -> np.ndarray:
-        """Gradient of each run's F with its offsets eliminated, (r, n)."""
-        along, loads = self.G, self.loads
-        if self.rows is None:
-            slopes = np.transpose(self.dc, (0, 1, 3, 2)).reshape(len(self.dc), -1, self.dc.shape[2])
-            flat = along.reshape(len(loads), -1)
-        else:
-            slopes, flat = self.dc, along[:, self.rows.feature, self.rows.channel]
-        return np.einsum("rl,lrn->rn", loads, flat @ slopes)
-
     def derivatives(self) -> Derivatives:
         """Gradient and Hessian of each run's F with its offsets eliminated, without the curvature of c."""
-        B, z = self._slopes(), len(self.c) - 1
-        H = 2.0 * self._quadratic(B, self.W, self._WSW) + self._covariance_terms(B)
-        if z:
-            if self.rows is None:
-                cross = np.tensordot(self.G, self.dc[1:], axes=([1, 2], [1, 3]))  # (r, z, n)
-            else:
-                G = self.G[:, self.rows.feature, self.rows.channel]
-                cross = np.tensordot(G, self.dc[1:], axes=([1], [1]))
-            H[:, :z, z:] += cross
-            H[:, z:, :z] += np.swapaxes(cross, 1, 2)
-        return self.gradients, eliminate(H, z)[0]
+        return self.gradients, eliminate(self._hessian(), self.z)[0]
 
-    def _quadratic(self, B: np.ndarray, fit: np.ndarray, noise: np.ndarray) -> np.ndarray:
-        """Sum over channels k, l of B_k^T (fit_kl R_f^T R_f - noise_kl Q) B_l, shape (r, v, v)."""
-        moving = np.any(self.cost.column_variance)
-        if self.rows is not None:
-            k, at = self.rows.channel, self.rows.feature
-            middle = _square(fit, k) * _square(self.cost.grams[self.at], at)
-            if moving:
-                middle -= _square(noise, k) * _square(self.Q, at)
-            return np.swapaxes(B, 1, 2) @ (middle @ B)
-        r, K, f, v = B.shape
-        middle = fit @ (self.cost.grams[self.at, None] @ B).reshape(r, K, f * v)
-        if moving:
-            middle -= noise @ (self.Q[:, None] @ B).reshape(r, K, f * v)
-        return np.swapaxes(B.reshape(r, K * f, v), 1, 2) @ middle.reshape(r, K * f, v)
-
-    def _covariance_terms(self, B: np.ndarray) -> np.ndarray | float:
-        """Second-order terms of F through C(p) that hold dC, shape (r, v, v)."""
-        if not np.any(self.cost.column_variance):
-            return 0.0
-        r, K, v = len(B), self.c.shape[2], B.shape[-1]
+    def _hessian(self) -> np.ndarray:
+        """Second derivatives of each run's F by offsets and parameters, (r, v, v), for coefficients linear in
+        both."""
+        H = 2.0 * self._quadratic(self.W, self._WSW)
+        if not self._noisy:
+            return H
+        r, K = self.W.shape[:2]
         AR = np.swapaxes(self.A, 1, 2) @ self.R_f  # -A^T dA = AR B
-        left = np.concatenate([np.swapaxes(self.QX, 1, 2), -AR], axis=1)
-        both = self._by_channel(left, B)
-        half, U = both[:, :, :K], both[:, :, K:]
+        both = self._by_channel(np.concatenate([np.swapaxes(self.QX, 1, 2), -AR], axis=1))
+        half, U, v = both[:, :, :K], both[:, :, K:], both.shape[-1]
         dC = half + np.swapaxes(half, 1, 2)
-        inner = _between(self._WSW, dC, self.W) - 2.0 * _between(self.W, U, self.W)
-        terms = np.swapaxes(dC.reshape(r, K * K, v), 1, 2) @ inner.reshape(r, K * K, v)
-        return terms + np.swapaxes(terms, 1, 2)
+        inner = ((self.squares @ self.W) @ dC.reshape(r, K, K * v)).reshape(dC.shape) - 2.0 * U
+        terms = np.swapaxes(_between(self.W, dC).reshape(r, K * K, v), 1, 2) @ inner.reshape(r, K * K, v)
+        return H + terms + np.swapaxes(terms, 1, 2)
 
-    def _by_channel(self, left: np.ndarray, B: np.ndarray) -> np.ndarray:
-        """Return left (r, i, f) times the slopes of each channel, (r, K, i, v)."""
-        if self.rows is None:
-            return left[:, None] @ B
-        out = np.zeros((len(B), self.c.shape[2], left.shape[1], B.shape[-1]))
-        for channel in range(out.shape[1]):
-            own = np.flatnonzero(self.rows.channel == channel)
-            out[:, channel] = left[:, :, self.rows.feature[own]] @ B[:, own]
-        return out
+    @property
+    def _noisy(self) -> bool:
+        """Whether logged columns have noise, so that the covariance depends on the parameters."""
+        return bool(np.any(self.cost.column_variance))
 
     def information(self, noise_factor: float) -> np.ndarray:
         """Expected information of each run about the parameters, (r, n, n)."""
-        return eliminate(self._full_information(noise_factor), len(self.c) - 1)[0]
+        return eliminate(self._full_information(noise_factor), self.z)[0]
 
     def _full_information(self, noise_factor: float) -> np.ndarray:
         counts = self.cost.summary.counts[self.at, None, None]
-        return self._quadratic(self._slopes(), self.W, (noise_factor - self.cost.planned) * counts * self.W)
+        return self._quadratic(self.W, (noise_factor - self.cost.planned) * counts * self.W)
 
     def zero_covariance(self, covariance: np.ndarray) -> np.ndarray:
         """Covariance of each run's zero displacements [m^2], (r, z, z); `covariance`: of the parameters."""
-        full, z = self._full_information(1.0), len(self.c) - 1
+        full, z = self._full_information(1.0), self.z
         follow = eliminate(full, z)[1]
         return np.linalg.inv(full[:, :z, :z]) + follow @ covariance @ np.swapaxes(follow, 1, 2)
 
 
+class _Polynomials(_Runs):
+    """Runs of a polynomial reading: coefficients and their slopes as `Coefficients.first` returns them."""
+
+    def __init__(self, cost: Cost, at: slice, log: int, here: slice, c: np.ndarray, dc: np.ndarray) -> None:
+        self.c, self.dc = c, dc
+        super().__init__(cost, at, log, here)
+
+    def _read(self, rows: np.ndarray) -> np.ndarray:
+        return rows @ self.c[0]
+
+    def _read_offsets(self) -> np.ndarray:
+        k = self.cost.summary.features.n_zero
+        return self.R_f[:, None, :, :k] @ self.c[1:, :k]
+
+    @property
+    def loads(self) -> np.ndarray:
+        """Factors of c and of each E_l, (r, 1 + z)."""
+        return np.concatenate([np.ones((len(self.offsets), 1)), self.offsets], axis=1)
+
+    @property
+    def _slopes(self) -> np.ndarray:
+        """dX / d(offsets, p), shape (r, K, f, v)."""
+        by_channel = np.ascontiguousarray(np.transpose(self.dc, (0, 3, 1, 2)))
+        B = np.empty((len(self.offsets), *by_channel.shape[1:3], self.z + self.dc.shape[2]))
+        B[..., : self.z] = np.transpose(self.c[1:], (2, 1, 0))
+        B[..., self.z :] = by_channel[0] + np.tensordot(self.offsets, by_channel[1:], axes=1)
+        return B
+
+    @cached_property
+    def G(self) -> np.ndarray:
+        """dF / dX of each run, shape (r, f, K)."""
+        return -2.0 * (self.feature_products @ self.W + self.QX @ self._WSW)
+
+    @cached_property
+    def gradients(self) -> np.ndarray:  # type: ignore[override]
+        """Gradient of each run's F with its offsets eliminated, (r, n)."""
+        slopes = np.transpose(self.dc, (0, 1, 3, 2)).reshape(len(self.dc), -1, self.dc.shape[2])
+        return np.einsum("rl,lrn->rn", self.loads, self.G.reshape(len(self.G), -1) @ slopes)
+
+    def _hessian(self) -> np.ndarray:
+        H, z = super()._hessian(), self.z
+        if z:
+            cross = np.tensordot(self.G, self.dc[1:], axes=([1, 2], [1, 3]))  # (r, z, n)
+            H[:, :z, z:] += cross
+            H[:, z:, :z] += np.swapaxes(cross, 1, 2)
+        return H
+
+    def _quadratic(self, fit: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        B = self._slopes
+        r, K, f, v = B.shape
+        middle = fit @ (self.cost.grams[self.at, None] @ B).reshape(r, K, f * v)
+        if self._noisy:
+            middle -= noise @ (self.Q[:, None] @ B).reshape(r, K, f * v)
+        return np.swapaxes(B.reshape(r, K * f, v), 1, 2) @ middle.reshape(r, K * f, v)
+
+    def _by_channel(self, left: np.ndarray) -> np.ndarray:
+        return left[:, None] @ self._slopes
+
+
+class _Tangents(_Runs):
+    """Runs of a tangent. A feature moves one channel, so that products with coefficients are sums.
+
+    `parts`: neighbouring features of neighbouring channels, and these channels. `first`: where features of
+    another column begin among those that have one, `columns`: these columns.
+    """
+
+    def __init__(self, cost: Cost, at: slice, log: int, here: slice, tangent: Tangent) -> None:
+        self.tangent = tangent
+        m, channel = len(tangent.column), tangent.channel
+        cuts = sorted({0, m, *(np.flatnonzero(np.diff(channel) != 1) + 1).tolist(), len(channel)})
+        self.parts = [(slice(a, b), slice(channel[a], channel[a] + b - a)) for a, b in pairwise(cuts)]
+        self.first = np.flatnonzero(np.diff(tangent.column, prepend=-1))
+        self.columns = tangent.column[self.first]
+        self.size = cost.summary.features.n_offsets + len(cost.summary.model.names)
+        super().__init__(cost, at, log, here)
+
+    def _read(self, rows: np.ndarray) -> np.ndarray:
+        out = np.zeros((*rows.shape[:-1], len(self.cost.reading_variance)))
+        for features, channels in self.parts:
+            out[..., channels] += rows[..., features] * self.tangent.value[features]
+        return out
+
+    def _read_offsets(self) -> np.ndarray:
+        features, (r, m, _) = self.cost.summary.features, self.R_f.shape
+        out, k = np.zeros((r, features.n_offsets, m, len(self.cost.reading_variance))), features.n_zero
+        out[:, self.tangent.column[:k], :, self.tangent.channel[:k]] = np.moveaxis(self.R_f[..., :k], 2, 0)
+        return out
+
+    def _by_column(self, rows: np.ndarray, axis: int) -> np.ndarray:
+        """Return the sums of what belongs to each offset and parameter along an axis of m features."""
+        out = np.zeros((*rows.shape[:axis], self.size, *rows.shape[axis + 1 :]))
+        out[(slice(None),) * axis + (self.columns,)] = np.add.reduceat(rows, self.first, axis=axis)
+        return out
+
+    @cached_property
+    def gradients(self) -> np.ndarray:  # type: ignore[override]
+        """Gradient of each run's F with its offsets eliminated, (r, n)."""
+        AW, slopes = self.A @ self.W, np.empty(self.R_f.shape[::2])
+        for features, channels in self.parts:
+            QX, WSW = self.QX[:, features], self._WSW[..., channels]
+            own = np.einsum("rmi,rmi->ri", self.R_f[..., features], AW[..., channels])
+            slopes[:, features] = own + np.einsum("rik,rki->ri", QX, WSW)
+        return -2.0 * self._by_column(slopes[:, : len(self.tangent.column)], 1)[:, self.z :]
+
+    def _quadratic(self, fit: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        m = len(self.tangent.column)
+        products = self._between_channels(fit, self.cost.grams[self.at, :m, :m])
+        if self._noisy:
+            products -= self._between_channels(noise, self.Q[:, :m, :m])
+        return self._by_column(products, 2)
+
+    def _between_channels(self, weights: np.ndarray, products: np.ndarray) -> np.ndarray:
+        """Return products (r, m, m) of features times the weights (r, K, K) of their channels, (r, v, m), the
+        first features summed by column."""
+        m = len(self.tangent.column)
+        spread, weighted = weights.take(self.tangent.channel[:m], axis=2), np.empty(products.shape)
+        for features, channels in self.parts:
+            if features.stop <= m:
+                np.multiply(products[:, features], spread[:, channels], out=weighted[:, features])
+        return self._by_column(weighted, 1)
+
+    def _by_channel(self, left: np.ndarray) -> np.ndarray:
+        m, out = len(self.tangent.column), np.zeros((len(left), self.W.shape[1], left.shape[1], self.size))
+        out[:, self.tangent.channel[:m], :, self.tangent.column] = np.moveaxis(left[..., :m], 2, 0)
+        return out
+
+
 FEW = 8
-"""Channels up to which one product with all K^4 products of two matrices is faster than two with each."""
+"""Channels up to which one product with all K^4 products of a matrix is faster than two with it."""
 
 
-def _square(matrices: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Return the rows and columns `at` (m,) of matrices (r, n, n), in a third of the time of an index."""
-    return matrices.take(at, axis=1).take(at, axis=2)
-
-
-def _between(a: np.ndarray, X: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return a X b for each of v matrices X (r, K, K, v); a, b symmetric, (r, K, K)."""
+def _between(W: np.ndarray, X: np.ndarray) -> np.ndarray:
+    """Return W X W for each of v matrices X (r, K, K, v); W symmetric, (r, K, K)."""
     r, K, _, v = X.shape
     if K <= FEW:
-        both = np.einsum("rij,rkl->rikjl", a, b).reshape(r, K * K, K * K)
+        both = np.einsum("rij,rkl->rikjl", W, W).reshape(r, K * K, K * K)
         return (both @ X.reshape(r, K * K, v)).reshape(X.shape)
-    first = (a @ X.reshape(r, K, K * v)).reshape(r, K, K, v)
-    return np.swapaxes(np.swapaxes(first, 2, 3) @ b[:, None], 2, 3)
+    first = (W @ X.reshape(r, K, K * v)).reshape(r, K, K, v)
+    return np.swapaxes(np.swapaxes(first, 2, 3) @ W[:, None], 2, 3)
 
 
 def cost_of(summary: RunStatistics, noise: Mapping[str, float]) -> Cost:

@@ -64,8 +64,8 @@ OPERATIONS: dict[int, tuple[str, Callable | None]] = {
 """Implementation of each CasADi operation: it reads up to two registers and writes the last one."""
 
 
-WORK, FEWEST = 12_000_000, 384
-"""Largest number of values in memory at once, 96 MB, and least number of samples in a block.
+WORK, FEWEST = 4_000_000, 384
+"""Largest number of values in memory at once, 32 MB, and least number of samples in a block.
 
 A graph of many magnets and sensors holds tens of thousands of values of each sample at once."""
 
@@ -124,7 +124,8 @@ def jacobian(values: ca.SX, variables: ca.SX) -> ca.SX:
     CasADi takes the mode with fewer directions. Each channel of an array of sensors has operations of its
     own, which a direction backwards visits once in all, and one forwards once for each variable.
     """
-    ways = [ca.jacobian(values, variables, mode) for mode in ({}, {"allow_forward": False})]
+    modes: tuple[dict[str, bool], ...] = ({}, {"allow_forward": False})
+    ways = [ca.jacobian(values, variables, mode) for mode in modes[: max(1, variables.numel())]]
     return min(ways, key=lambda way: ca.Function("way", ca.symvar(way), [way]).n_instructions())
 
 

@@ -22,12 +22,22 @@ MAX_DEGREE = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
-    """Slopes (1 + n_offsets, m, n) of m coefficients, those of a `channel` (m,) and a `feature` (m,)."""
+class Tangent:
+    """Coefficients that are linear in offsets and parameters: each feature moves one channel.
+
+    `channel`: of each feature, (n_features,). `value`: coefficient of each at offsets of 0, (n_features,).
+    `column`: what each of the first features is multiplied by, (m,), counted in [offsets | parameters]; the
+    others have a coefficient of 1.
+    """
 
     channel: np.ndarray
-    feature: np.ndarray
-    slope: np.ndarray
+    value: np.ndarray
+    column: np.ndarray
+
+    @property
+    def size(self) -> int:
+        """Products of features."""
+        return len(self.channel) ** 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,11 +187,8 @@ class Features:
         """The features whose slopes do not depend on the point: one for all points of a tangent."""
         return self
 
-    def linear(self, p: np.ndarray) -> tuple[np.ndarray, Rows] | None:
-        """Return coefficients and slopes where coefficients are linear in the parameters, and most are nil.
-
-        The coefficients (1 + n_offsets, n_features, n_channels), and the slopes that are not nil.
-        """
+    def tangent(self, p: np.ndarray) -> Tangent | None:
+        """Return the coefficients at `p` if they are those of a tangent."""
         return None
 
     def slope_rows(self, p: np.ndarray) -> np.ndarray | None:
