@@ -152,9 +152,11 @@ class _Descent:
 
     def take(self, x: FloatArray) -> bool:
         """Evaluate; move there if it is finite and strictly better."""
-        f, gradient, hessian = self.derivatives(x)
         self.evaluations += 1
-        better = bool(-np.inf < f < self.f and np.isfinite(gradient).all() and np.isfinite(hessian).all())
+        better = self.problem.value is None or self.problem.value(x) < self.f
+        if better:
+            f, gradient, hessian = self.derivatives(x)
+            better = bool(-np.inf < f < self.f and np.isfinite(gradient).all() and np.isfinite(hessian).all())
         if better:
             self.x, self.f, self.gradient, self.hessian = x, float(f), gradient, hessian
         self.history.append((self.evaluations, self.f))

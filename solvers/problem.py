@@ -25,6 +25,7 @@ class Problem:
         where both are equal the variable is fixed.
     derivatives: `x (dim,) -> (f, gradient (dim,), Hessian (dim, dim))`, exact, of the same function as
         `cost`; the local methods need it.
+    value: `x (dim,) -> f`, where that alone costs less: a step that does not lower it has no derivatives.
 
     >>> Problem(lambda x: (x**2).sum(axis=1), lower=[-1.0, -1.0], upper=[1.0, 2.0]).dim
     2
@@ -34,6 +35,7 @@ class Problem:
     lower: FloatArray
     upper: FloatArray
     derivatives: Derivatives | None = None
+    value: Callable[[FloatArray], float] | None = None
 
     def __post_init__(self) -> None:
         """Copy the bounds into read-only arrays, and refuse those that enclose nothing."""

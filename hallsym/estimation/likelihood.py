@@ -163,7 +163,9 @@ class Cost:
             return self.anchor.reweighted(self)
         known: Point | None = self.__dict__.get("_last")
         if known is None or not np.array_equal(p, known.p):
-            self.__dict__["_last"] = known = Point(self, np.array(p, dtype=float))
+            # a point with this cost would make a cycle, and leave its arrays to the garbage collector
+            own = replace(self) if self.parts else self.weighted(self.weights)
+            self.__dict__["_last"] = known = Point(own, np.array(p, dtype=float))
         return known
 
     def information(self, p: np.ndarray, noise_factor: float = 1.0) -> np.ndarray:

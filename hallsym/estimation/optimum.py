@@ -326,6 +326,7 @@ class Scaled:
             (lower[free] - self._origin) / self.scale,
             (upper[free] - self._origin) / self.scale,
             derivatives=derivatives,
+            value=lambda x: cost.at(self.from_unit(x)).value / n,
         )
 
 

@@ -254,7 +254,7 @@ class Walk:
                 hessian + 2.0 * weight * (np.outer(slope, slope) + off * bend),
             )
 
-        return replace(self.problem, derivatives=derivatives)
+        return replace(self.problem, derivatives=derivatives, value=None)
 
     def fill(self, points: int) -> None:
         """Add points evenly spaced in v between the optimum and the farthest one."""
