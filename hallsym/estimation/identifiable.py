@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 import scipy
 
-from hallsym.estimation.likelihood import Coefficients, Cost
+from hallsym.estimation.likelihood import Cost
 from hallsym.model import Gauge, Model
 from hallsym.model.arrays import on_arrays
 from hallsym.model.features import Features
@@ -199,10 +199,10 @@ def _never(cost: Cost, p: np.ndarray, open_: np.ndarray) -> np.ndarray:
     """Return a basis (n, k) of structurally undetermined directions: of a sum of costs, common to all."""
     shares = cost.shares
     if len(shares) == 1:
-        return structural_null(cost.coefficients, feature_scale(cost), p, open_)
+        return structural_null(cost, p, open_)
     rows = []
     for part, chosen in shares:
-        null = structural_null(part.coefficients, feature_scale(part), p[chosen], open_[chosen])
+        null = structural_null(part, p[chosen], open_[chosen])
         seen = np.zeros((len(chosen), len(p)))
         seen[:, chosen] = np.eye(len(chosen)) - null @ null.T
         rows.append(seen[:, open_])
@@ -223,34 +223,24 @@ def _hold(null: np.ndarray, inside: np.ndarray) -> list[int]:
     return [int(k) for k in scipy.linalg.qr(preferred, mode="r", pivoting=True)[1][: null.shape[1]]]
 
 
-def feature_scale(cost: Cost) -> np.ndarray:
-    """Size of each feature in this log, shape (n_features,): the norm of its column over all runs."""
-    size = np.sqrt(np.einsum("rjj->j", cost.grams))
-    return np.where(size > 0, size, 1.0)
-
-
-def structural_null(
-    coefficients: Coefficients,
-    feature_scale: np.ndarray,
-    p: np.ndarray | None = None,
-    open_: np.ndarray | None = None,
-) -> np.ndarray:
+def structural_null(cost: Cost, p: np.ndarray | None = None, open_: np.ndarray | None = None) -> np.ndarray:
     """Directions that no recording can determine: the null space of d coefficients / d parameters at `p`.
 
     Its dimension is decided at random points inside the bounds by `structural_rank`, the smallest counts; `p`
     is the last of them by default. `open_` (n,) says which parameters are not fixed (default: all). Returns
     an orthonormal basis (n, k) in scaled parameters.
     """
-    model = coefficients.features.model
+    features, model = cost.summary.features, cost.summary.model
     scale = scales(model)
     open_ = np.ones(len(scale), dtype=bool) if open_ is None else open_
     if not open_.any():
         return np.zeros((len(scale), 0))
-    rank, _ = structural_rank(coefficients.features, tuple(open_.tolist()))
+    rank, _ = structural_rank(features, tuple(open_.tolist()))
     at = _random_points(model)[-1] if p is None else p
-    rows = coefficients.features.slope_rows(np.asarray(at, dtype=float))
+    rows = features.slope_rows(np.asarray(at, dtype=float))
     if rows is None:
-        slope = coefficients.first(at)[1][0] * feature_scale[:, None, None]
+        size = np.sqrt(np.einsum("rjj->j", cost.grams))  # of each feature in this log
+        slope = features.first(at, cost.summary.centre)[1][0] * np.where(size > 0, size, 1.0)[:, None, None]
         jacobian = (np.swapaxes(slope, 1, 2).reshape(-1, len(scale)) * scale)[:, open_]
     else:  # large and small poses have the same weight
         jacobian = (rows * scale)[:, open_]

@@ -13,7 +13,7 @@ gradient and Hessian below are those of the cost that is left.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -26,49 +26,8 @@ from hallsym.estimation.factors import RunStatistics, eliminate, exact, joined, 
 from hallsym.log import Log
 from hallsym.log.batches import Weigh
 from hallsym.model import Model
-from hallsym.model.arrays import on_arrays
-from hallsym.model.features import Features, Tangent
+from hallsym.model.features import Tangent
 from hallsym.model.model import Combination, Signals, Step
-
-
-@dataclass(frozen=True, eq=False)
-class Coefficients:
-    """c(p) and E_l(p) of a model with their derivatives, as one CasADi call each.
-
-    Arrays have the axes (1 + n_offsets, n_features, n_channels), c first, then one E_l per offset.
-    """
-
-    features: Features
-    centre: np.ndarray
-
-    @cached_property
-    def population(self) -> Callable[[np.ndarray], np.ndarray]:
-        """`(m, n) parameter vectors -> (m, n_features, n_channels)` coefficients c at zero deviation."""
-        model = self.features.model
-        c = self.features.coefficients(model.symbols.parameters, ca.SX.zeros(len(model.offsets)), self.centre)
-        run = on_arrays(ca.Function("population", [model.symbols.parameters], [ca.densify(c)]))
-        shape = (len(model.channels), self.features.size)
-
-        def coefficients(points: np.ndarray) -> np.ndarray:
-            (flat,) = run(np.ascontiguousarray(points.T))
-            return np.transpose(flat.reshape(*shape, len(points)), (2, 1, 0))
-
-        return coefficients
-
-    def first(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the coefficients and their slopes, the latter (1 + n_offsets, n_features, n, n_channels)."""
-        model = self.features.model
-        shape = (1 + self.features.n_offsets, len(model.channels), self.features.size)
-        value, slope = self.features.expansion[0](p, self.centre)
-        return (
-            np.ascontiguousarray(np.swapaxes(value.T.reshape(shape), 1, 2)),
-            np.ascontiguousarray(np.transpose(slope.reshape(*shape, -1), (0, 2, 3, 1))),
-        )
-
-    def curvature(self, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return sum of weights * d2 coefficient / dp2, shape (n, n), weights shaped as coefficients."""
-        flat = np.swapaxes(weights, 1, 2).ravel()
-        return self.features.expansion[1](p, self.centre, flat)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +40,6 @@ class Cost:
     """
 
     summary: RunStatistics
-    coefficients: Coefficients
     reading_variance: np.ndarray
     column_variance: np.ndarray
     weights: np.ndarray
@@ -152,7 +110,7 @@ class Cost:
         if self.parts:
             return np.sum([part.population(points[:, chosen]) for part, chosen in self.shares], axis=0)
         (R_f,), (R_m,) = self.triangles
-        X = self.coefficients.population(points)
+        X = self.summary.features.population(points, self.summary.centre)
         A = R_m - R_f @ X
         C = np.diag(self.reading_variance) + np.swapaxes(X, 1, 2) @ (self.noise_in_features[0] @ X)
         return np.einsum("mkk->m", np.linalg.solve(C, np.swapaxes(A, 1, 2) @ A))
@@ -187,9 +145,9 @@ class Point:
         self._parts: list[_Runs] = []
         first = 0
         for log, (share, chosen) in enumerate(cost.shares):
-            coefficients, own, runs = share.coefficients, p[chosen], len(share.weights)
-            tangent = coefficients.features.tangent(own)
-            known = coefficients.first(own) if tangent is None else (tangent,)
+            features, own, runs = share.summary.features, p[chosen], len(share.weights)
+            tangent = features.tangent(own)
+            known = features.first(own, share.summary.centre) if tangent is None else (tangent,)
             size = known[-1].size
             together = int(np.clip(TOGETHER * SLOPES // max(size, 1), 1, TOGETHER))
             for start in range(0, max(runs, 1), together):
@@ -260,7 +218,8 @@ class Point:
                 bend[part.log] = bend.get(part.log, 0.0) + own
         for log, load in bend.items():
             share, chosen = self.cost.shares[log]
-            hessian[np.ix_(chosen, chosen)] += share.coefficients.curvature(self.p[chosen], load)
+            at = self.p[chosen], share.summary.centre
+            hessian[np.ix_(chosen, chosen)] += share.summary.features.curvature(*at, load)
         return self.value, gradient, 0.5 * (hessian + hessian.T)
 
     @cached_property
@@ -421,7 +380,7 @@ class _Runs(ABC):
 
 
 class _Polynomials(_Runs):
-    """Runs of a polynomial reading: coefficients and their slopes as `Coefficients.first` returns them."""
+    """Runs of a polynomial reading: coefficients and their slopes as `Features.first` returns them."""
 
     def __init__(self, cost: Cost, at: slice, log: int, here: slice, c: np.ndarray, dc: np.ndarray) -> None:
         self.c, self.dc = c, dc
@@ -566,7 +525,6 @@ def cost_of(summary: RunStatistics, noise: Mapping[str, float]) -> Cost:
     model = summary.model
     return Cost(
         summary,
-        Coefficients(summary.features, summary.centre),
         np.array([noise[c] ** 2 for c in model.channels]),
         np.array([noise.get(c, 0.0) ** 2 for c in (*model.references, *model.state)]),
         np.ones(len(summary.runs)),
@@ -668,7 +626,6 @@ def joint_cost(sharing: Sharing, costs: Sequence[Cost], numbers: Sequence[dict[i
     features = replace(summary.features, model=sharing.joint)
     return Cost(
         replace(summary, features=features),
-        Coefficients(features, summary.centre),
         share @ [cost.reading_variance for cost in costs],
         share @ [cost.column_variance for cost in costs],
         np.concatenate([cost.weights for cost in costs]),

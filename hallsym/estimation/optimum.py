@@ -45,7 +45,7 @@ def linear_fit(cost: Cost) -> LinearFit:
     energy = np.einsum("ij,ij->j", R_f, R_f)
     noise = cost.summary.counts[0] * np.einsum("jj->j", cost.noise_in_features[0])
     moved = energy > MOVED * noise
-    nominal = cost.coefficients.first(model.nominal)[0][0]
+    nominal = cost.summary.features.first(model.nominal, cost.summary.centre)[0][0]
     size = np.sqrt(np.where(moved, energy, 1.0))
     target = R_m - R_f @ nominal
     change, *_ = np.linalg.lstsq((R_f / size)[:, moved], target, rcond=1e-9)
@@ -64,7 +64,7 @@ def closed_form(cost: Cost, linear: LinearFit) -> np.ndarray:
     if features.model.closed_form is None:
         return features.model.nominal
     # the closed form of a family takes columns from zero, not from the centre of the log
-    at_zero = features.shift(-cost.coefficients.centre) @ linear.coefficients
+    at_zero = features.shift(-cost.summary.centre) @ linear.coefficients
     named = {features.label(j): at_zero[j] for j in range(features.size)}
     return features.model.closed_form(features.model, named)
 

@@ -18,7 +18,6 @@ from hallsym.estimation.goodness_of_fit import noise_floor
 from hallsym.estimation.identifiable import (
     MOVING,
     echelon,
-    feature_scale,
     gauged,
     least_information,
     scales,
@@ -76,7 +75,7 @@ def null_spaces(evidence: Evidence, stated: Sequence[CombinationEstimate]) -> tu
     """
     cost, found = evidence.cost, evidence.found
     open_ = np.array([p.width > 0 for p in evidence.model.parameters])
-    anywhere = structural_null(cost.coefficients, feature_scale(cost), None, open_)
+    anywhere = structural_null(cost, None, open_)
     anywhere, gauge = gauged(evidence.model, anywhere)
     spaces = []
     for null, lost, least in (

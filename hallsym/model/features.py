@@ -167,10 +167,37 @@ class Features:
         return first, ca.Function("curvature", [p, centre, weights], [ca.densify(hessian)])
 
     @cached_property
-    def expansion(self) -> tuple[Callable[..., Sequence[np.ndarray]], Callable[..., np.ndarray]]:
-        """The same as a function of numbers."""
+    def _expansion(self) -> tuple[Callable[..., Sequence[np.ndarray]], Callable[..., Sequence[np.ndarray]]]:
+        """The same as functions of numbers."""
         first, curvature = (on_vectors(function) for function in self.expressions)
-        return first, lambda *inputs: curvature(*inputs)[0]
+        return first, curvature
+
+    def first(self, p: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return c and E_l, (1 + n_offsets, n_features, n_channels), c first, and their slopes.
+
+        These are (1 + n_offsets, n_features, n, n_channels).
+        """
+        shape = (1 + self.n_offsets, len(self.model.channels), self.size)
+        value, slope = self._expansion[0](p, centre)
+        return (
+            np.ascontiguousarray(np.swapaxes(value.T.reshape(shape), 1, 2)),
+            np.ascontiguousarray(np.transpose(slope.reshape(*shape, -1), (0, 2, 3, 1))),
+        )
+
+    def curvature(self, p: np.ndarray, centre: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Return sum of weights * d2 coefficient / dp2, (n, n), weights shaped as coefficients of `first`."""
+        return self._expansion[1](p, centre, np.swapaxes(weights, 1, 2).ravel())[0]
+
+    def population(self, points: np.ndarray, centre: np.ndarray) -> np.ndarray:
+        """Return the coefficients c of parameter vectors (m, n), (m, n_features, n_channels)."""
+        (flat,) = self._population(np.ascontiguousarray(points.T), centre)
+        return np.transpose(flat.reshape(len(self.model.channels), self.size, len(points)), (2, 1, 0))
+
+    @cached_property
+    def _population(self) -> Callable[..., list[np.ndarray]]:
+        p, centre = self.model.symbols.parameters, self._variables[1]
+        c = self.coefficients(p, ca.SX.zeros(len(self.model.offsets)), centre)
+        return on_arrays(ca.Function("population", [p, centre], [ca.densify(c)]))
 
     @property
     def std(self) -> np.ndarray | None:

@@ -5,13 +5,14 @@ import pytest
 from twins import SIGMAS, TRUTH, combinations_of_effects, cost_on, phi, record, true_model, with_noise
 
 from hallsym.estimation import fit
+from hallsym.estimation.factors import RunStatistics
 from hallsym.estimation.identifiable import (
     determine,
     scales,
     structural_null,
     structural_rank,
 )
-from hallsym.estimation.likelihood import Coefficients
+from hallsym.estimation.likelihood import cost_of
 from hallsym.families import build
 from hallsym.model import find_features
 from hallsym.simulation import Campaign, NoiseModel, Run, paper_campaign, simulate
@@ -21,9 +22,11 @@ PAIRS = [("H1x", "H1y"), ("H2x", "H2y"), ("H3x", "H3y")]
 
 
 def null_of(model) -> np.ndarray:
-    features = find_features(model)
-    coefficients = Coefficients(features, np.zeros(features.exponents.shape[1]))
-    return structural_null(coefficients, np.ones(features.size))
+    features, state = find_features(model), np.zeros((1, len(model.state)))
+    triangles = np.eye(features.size + len(model.channels))[None]
+    slopes, centre = np.zeros((1, features.slope_pairs.shape[1])), np.zeros(features.exponents.shape[1])
+    summary = RunStatistics(features, centre, (0,), triangles, slopes, np.ones(1), state, state)
+    return structural_null(cost_of(summary, dict.fromkeys(model.channels, 1.0)))
 
 
 def moving(model, null: np.ndarray) -> set[str]:
