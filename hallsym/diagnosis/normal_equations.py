@@ -210,7 +210,9 @@ def normal_equations(
     run = np.array([number for number, _ in parts])
     if length:
         groups = [(number,) for number in run.tolist()]
-    whitened, output = (Products(*(x[: len(groups)] for x in M)) for M in made)
+    if len(groups) < len(count):
+        made = [Products(*(x[: len(groups)].copy() for x in M)) for M in made]
+    whitened, output = made
     units = np.arange(len(run)) if length else np.array([pool[number] for number in run.tolist()])
     follow, of_offsets = eliminated(work, (whitened, output), offsets[:, : len(run)], run, units)
     return NormalEquations(

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from twins import COLUMNS, HALL, SIGMAS, cost_on, phi, pm, record, true_model, with_noise
 
-from hallsym.estimation.factors import summarise
+from hallsym.estimation.factors import summarise, summarise_at
 from hallsym.estimation.likelihood import cost_of
 from hallsym.families import build
 from hallsym.log import Log
@@ -115,6 +115,28 @@ def test_gradient_and_hessian_are_derivatives(log, name, effects, weighted, seed
     bend = stencil(lambda x: cost.at(x).derivatives()[1], p, u, 1e-3)
     error = (hessian @ u - bend) * width
     assert np.abs(error).max() < 1e-7 * np.abs((hessian @ u) * width).max()
+
+
+@pytest.mark.parametrize(
+    ("name", "effects"),
+    [("stage31", ("hysteresis:half_width_m=1e-6", "time_skew")), ("halbach_planar", ("gain_mismatch",))],
+)
+def test_derivatives_of_a_tangent_are_derivatives(name, effects):
+    """Offsets of runs, and parameters that one channel has for itself."""
+    rng, model = np.random.default_rng(1), build(name, added=effects)
+    logged = (*model.references, *model.state, *model.channels)
+    columns = {c: rng.uniform(-1e-3, 1e-3, 90) for c in dict.fromkeys(logged)}
+    log = Log.from_arrays({"run": np.repeat([0, 3, 4], 30), "t_s": np.arange(90) * 1e-3, **columns})
+    sigma = dict.fromkeys(logged, 1e-6) | dict.fromkeys(model.channels, 1e-4)
+    width = np.minimum(model.bounds[1] - model.bounds[0], 1.0)
+    p, u = model.nominal + 1e-3 * width, 0.1 * width * rng.uniform(-1, 1, len(width))
+    cost = cost_of(summarise_at(log, model, model.nominal, {}, sigma), sigma)
+    assert cost.summary.features.tangent(p) is not None
+    _, gradient, hessian = cost.at(p).derivatives()
+    slope = stencil(lambda x: cost.at(x).value, p, u, 1e-3)
+    assert gradient @ u == pytest.approx(slope, rel=1e-7, abs=1e-7 * np.linalg.norm(gradient * width))
+    bend = stencil(lambda x: cost.at(x).derivatives()[1], p, u, 1e-3)
+    assert np.abs((hessian @ u - bend) * width).max() < 1e-6 * np.abs((hessian @ u) * width).max()
 
 
 @pytest.mark.parametrize("noisy", [False, True])
