@@ -506,16 +506,9 @@ class _Tangents(_Runs):
         return out
 
 
-FEW = 8
-"""Channels up to which one product with all K^4 products of a matrix is faster than two with it."""
-
-
 def _between(W: np.ndarray, X: np.ndarray) -> np.ndarray:
     """Return W X W for each of v matrices X (r, K, K, v); W symmetric, (r, K, K)."""
     r, K, _, v = X.shape
-    if K <= FEW:
-        both = np.einsum("rij,rkl->rikjl", W, W).reshape(r, K * K, K * K)
-        return (both @ X.reshape(r, K * K, v)).reshape(X.shape)
     first = (W @ X.reshape(r, K, K * v)).reshape(r, K, K, v)
     return np.swapaxes(np.swapaxes(first, 2, 3) @ W[:, None], 2, 3)
 
