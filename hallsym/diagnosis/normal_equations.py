@@ -410,7 +410,7 @@ def stacked_products(
     blocks = near.shape[2]
     shapes = (blocks, len(work.near), work.size), (blocks, work.pairs.shape[1])
     out = Products(*map(np.zeros, shapes)), Products(*map(np.zeros, shapes))
-    step = max(1, ENTRIES // max(near[..., 0].size, rows[..., 0].size))
+    step = max(1, 4 * ENTRIES // near[..., 0].size)
     for low in range(0, near.shape[3], step):
         at = (..., slice(low, low + step))
         _add_products(work, near[at], rows[at], D[at], out)

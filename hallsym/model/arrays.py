@@ -124,8 +124,11 @@ def jacobian(values: ca.SX, variables: ca.SX) -> ca.SX:
     CasADi takes the mode with fewer directions. Each channel of an array of sensors has operations of its
     own, which a direction backwards visits once in all, and one forwards once for each variable.
     """
-    modes: tuple[dict[str, bool], ...] = ({}, {"allow_forward": False})
-    ways = [ca.jacobian(values, variables, mode) for mode in modes[: max(1, variables.numel())]]
+    forward = ca.jacobian(values, variables)
+    rows = forward.sparsity().get_triplet()[0]
+    if len(rows) == len(set(rows)):  # one direction
+        return forward
+    ways = [forward, ca.jacobian(values, variables, {"allow_forward": False})]
     return min(ways, key=lambda way: ca.Function("way", ca.symvar(way), [way]).n_instructions())
 
 
