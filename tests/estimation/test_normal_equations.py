@@ -15,32 +15,6 @@ def columns(seed: int = 4) -> np.ndarray:
     return np.random.default_rng(seed).standard_normal((RUNS, 40, OFFSETS + SHARED)) * UNITS
 
 
-def test_the_sum_of_what_is_left_is_the_least_squares_problem_of_all_runs():
-    A, rng = columns(), np.random.default_rng(5)
-    b = rng.standard_normal((RUNS, 40, 1))
-    rows = np.concatenate([A, b], axis=2)
-    left, follow = eliminate(np.swapaxes(rows, 1, 2) @ rows, OFFSETS)
-    total = left.sum(axis=0)
-    shared = inverse(total[:-1, :-1]) @ total[:-1, -1]
-    wide = np.zeros((RUNS * 40, RUNS * OFFSETS + SHARED))
-    for k in range(RUNS):
-        wide[40 * k : 40 * (k + 1), OFFSETS * k : OFFSETS * (k + 1)] = A[k, :, :OFFSETS]
-        wide[40 * k : 40 * (k + 1), -SHARED:] = A[k, :, OFFSETS:]
-    size = np.linalg.norm(wide, axis=0)
-    known = np.linalg.lstsq(wide / size, b.ravel(), rcond=None)[0] / size
-    assert shared == pytest.approx(known[-SHARED:], rel=1e-9)
-    offsets = follow @ np.append(shared, -1.0)  # A x - b is a combination of the columns [A | b]
-    assert offsets.ravel() == pytest.approx(known[:-SHARED], rel=1e-8)
-
-
-def test_without_offsets_nothing_changes():
-    A = columns()[0]
-    matrix = A.T @ A
-    left, follow = eliminate(matrix, 0)
-    assert left is matrix
-    assert follow.shape == (0, OFFSETS + SHARED)
-
-
 def test_an_offset_that_no_sample_shows_stays_where_it_is():
     A = columns()
     A[2, :, 1] = 0.0
