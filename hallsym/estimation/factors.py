@@ -256,7 +256,7 @@ def summarised(
         counts=counts[:, 0].copy(),
         first_state=np.array(first_state),
         mean_state=state / np.maximum(counts, 1e-300),
-        places=tuple(_thinned(np.hstack(own)) for own in places) if model.typical else (),
+        places=tuple(map(_thinned, places)) if model.typical else (),
     )
 
 
@@ -323,7 +323,8 @@ def _sparse(batch: Batch) -> tuple[np.ndarray, list[int]]:
     return np.concatenate(picks), np.cumsum([0, *map(len, picks)]).tolist()
 
 
-def _thinned(places: np.ndarray) -> np.ndarray:
+def _thinned(parts: list[np.ndarray]) -> np.ndarray:
+    places = np.hstack(parts)
     return places[:, :: -(-places.shape[1] // MOST_PLACES)]
 
 
@@ -582,8 +583,6 @@ def eliminate(matrix: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     others, (..., v - count, v - count), and `follow`, (..., count, v - count): at the minimum `offsets =
     follow @ others`.
     """
-    if count == 0:
-        return matrix, np.zeros((*matrix.shape[:-2], 0, matrix.shape[-1]))
     across = matrix[..., :count, count:]
     follow = -solve(matrix[..., :count, :count], across)
     return matrix[..., count:, count:] + np.swapaxes(across, -1, -2) @ follow, follow

@@ -16,7 +16,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 
 import casadi as ca
@@ -59,11 +59,6 @@ class Cost:
             return ((self, np.arange(len(self.summary.model.names))),)
         return tuple(zip(self.parts, self.chosen, strict=True))
 
-    @property
-    def by_population(self) -> bool:
-        """Whether `population` gives F of many points at once."""
-        return self.summary.features.n_zero == 0 and len(self.summary.runs) == max(len(self.parts), 1)
-
     @cached_property
     def noise_in_features(self) -> np.ndarray:
         """Q_i = sum over columns of variance * mean outer product of feature slopes, (runs, f, f)."""
@@ -102,7 +97,7 @@ class Cost:
     def anchored(self, p: np.ndarray) -> "Cost":
         """Return a cost whose re-weightings share what has been computed at `p`: for many refits from `p`."""
         point = self.at(p)
-        point.keep_derivatives()
+        point.kept = [part.derivatives() for part in point.parts]
         return replace(self.weighted(self.weights), anchor=point).weighted(self.weights)
 
     def population(self, points: np.ndarray) -> np.ndarray:
@@ -142,7 +137,7 @@ class Point:
 
     def __init__(self, cost: Cost, p: np.ndarray) -> None:
         self.cost, self.p = cost, p
-        self._parts: list[_Runs] = []
+        self.parts: list[_Runs] = []
         first = 0
         for log, (share, chosen) in enumerate(cost.shares):
             features, own, runs = share.summary.features, p[chosen], len(share.weights)
@@ -153,11 +148,11 @@ class Point:
             for start in range(0, max(runs, 1), together):
                 at = slice(start, min(start + together, runs))
                 which = share, at, log, slice(first + at.start, first + at.stop)
-                self._parts.append(
+                self.parts.append(
                     _Polynomials(*which, *known) if tangent is None else _Tangents(*which, tangent)
                 )
             first += runs
-        self._kept: list[Derivatives] | None = None
+        self.kept: list[Derivatives] | None = None  # of every run, for re-weightings
         self.offsets = self._joined("offsets")
         self.run_values = self._joined("values")
         self.value = float(cost.weights @ self.run_values)
@@ -183,7 +178,7 @@ class Point:
         return self._joined("W")
 
     def _joined(self, name: str) -> np.ndarray:
-        parts = [getattr(part, name) for part in self._parts]
+        parts = [getattr(part, name) for part in self.parts]
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def reweighted(self, cost: Cost) -> "Point":
@@ -192,14 +187,10 @@ class Point:
         other.cost, other.value = cost, float(cost.weights @ self.run_values)
         return other
 
-    def keep_derivatives(self) -> None:
-        """Keep gradient and Hessian of every run, for re-weightings."""
-        self._kept = [part.derivatives() for part in self._parts]
-
     def _of_parts(self) -> "Iterator[tuple[_Runs, np.ndarray]]":
         """Yield the runs that are handled together, and which parameters they have."""
         chosen = [which for _, which in self.cost.shares]
-        return ((part, chosen[part.log]) for part in self._parts)
+        return ((part, chosen[part.log]) for part in self.parts)
 
     def derivatives(self) -> tuple[float, np.ndarray, np.ndarray]:
         """Return F, its gradient (n,) and its exact Hessian (n, n), the offsets eliminated."""
@@ -208,9 +199,9 @@ class Point:
         bend: dict[int, np.ndarray] = {}
         for k, (part, chosen) in enumerate(self._of_parts()):
             weights = self.cost.weights[part.here]
-            if not self._kept:
+            if not self.kept:
                 part, weights = part.counted(weights), weights[weights != 0]
-            gradients, hessians = self._kept[k] if self._kept else part.derivatives()
+            gradients, hessians = self.kept[k] if self.kept else part.derivatives()
             gradient[chosen] += weights @ gradients
             hessian[np.ix_(chosen, chosen)] += np.einsum("r,rij->ij", weights, hessians)
             if isinstance(part, _Polynomials):
@@ -594,18 +585,20 @@ def _by_log(one: Combination, own: Collection[str], logs: Sequence[str]) -> list
     """Return a combination once for each log where a log's own parameter is part of it."""
     if not set(one.parameters) & set(own):
         return [one]
-    return [_combination_of_log(one, own, log) for log in logs]
+    named = [{n: own_name(n, log) if n in own else n for n in one.parameters} for log in logs]
 
+    def value(p: Mapping[str, ca.SX], here: Mapping[str, str]) -> ca.SX:
+        return one.value({**p, **{name: p[its] for name, its in here.items()}})
 
-def _combination_of_log(one: Combination, own: Collection[str], log: str) -> Combination:
-    named = {n: own_name(n, log) if n in own else n for n in one.parameters}
-
-    def value(p: Mapping[str, ca.SX]) -> ca.SX:
-        return one.value({**p, **{name: p[here] for name, here in named.items()}})
-
-    return replace(
-        one, expression=own_name(one.expression, log), parameters=tuple(named.values()), value=value
-    )
+    return [
+        replace(
+            one,
+            expression=own_name(one.expression, log),
+            parameters=tuple(here.values()),
+            value=partial(value, here=here),
+        )
+        for log, here in zip(logs, named, strict=True)
+    ]
 
 
 def joint_cost(sharing: Sharing, costs: Sequence[Cost], numbers: Sequence[dict[int, int]]) -> Cost:

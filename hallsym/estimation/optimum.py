@@ -308,7 +308,7 @@ class Scaled:
 
         def population(x: np.ndarray) -> np.ndarray:
             points = self.from_unit(x)
-            if cost.by_population:
+            if cost.summary.features.n_zero == 0 and len(cost.summary.runs) == max(len(cost.parts), 1):
                 return cost.population(points) / n
             return np.array([cost.at(p).value for p in points]) / n
 
