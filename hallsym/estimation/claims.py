@@ -21,6 +21,7 @@ from hallsym.errors import InputError
 from hallsym.estimation.calibration import Claim, Fit
 from hallsym.estimation.decoding import columns_of, logged_columns, residuals
 from hallsym.estimation.factors import RunStatistics, exact, summarise, summarise_at
+from hallsym.estimation.goodness_of_fit import noise_followed
 from hallsym.estimation.identifiable import determine
 from hallsym.estimation.likelihood import Cost, cost_near, cost_of
 from hallsym.estimation.optimum import NEWTON, SETTLING, closed_form, linear_fit, optimum, refit
@@ -337,20 +338,23 @@ class Trials:
         }
 
     def quieter(self, c: Correction, runs: Sequence[int]) -> float:
-        """Return the deviance per reading by which scaled references and states lack noise in some runs.
+        """Return the deviance per reading by which references and states lack noise in some runs.
 
-        One device has one noise: a column that another unit makes quieter than in any other run was not in
-        that unit. A scale of a whole log, and columns without noise, do not tell.
+        One device has one noise: a column that is quieter in these runs than in any other was in no other
+        unit, and holds no other column's values. Of a whole log, and of columns without noise, none tell.
         """
-        if c.kind != "scale" or len(runs) == len(self.spans):
+        if len(runs) == len(self.spans):
             return 0.0
         lacks, samples = 0.0, {run: at.stop - at.start for run, at in self.spans if run in runs}
-        for name in (n for n in c.columns if n not in self.model.channels):
-            noise = {run: sigma for run, sigma in self._noise_by_run(name).items() if sigma > 0}
-            least = min((sigma for run, sigma in noise.items() if run not in samples), default=0.0)
-            for run in samples.keys() & noise if least else ():
-                ratio = min(abs(c.numbers[0]) * noise[run] / least, 1.0) ** 2
-                lacks += samples[run] * (ratio - 1 - np.log(ratio))
+        for name, (source, factor) in c.mistake.sources(c).items():
+            if name in self.model.channels:
+                continue
+            usual = [sigma for run, sigma in self._noise_by_run(name).items() if run not in samples and sigma]
+            noise = self._noise_by_run(source)
+            for run in samples.keys() & noise if usual else ():
+                if noise[run] > 0:
+                    ratio = min(abs(factor) * noise[run] / min(usual), 1.0) ** 2
+                    lacks += samples[run] * (ratio - 1 - np.log(ratio))
         return lacks / max(sum(samples.values()) * len(self.model.channels), 1)
 
     def _noise_by_run(self, column: str) -> dict[int, float]:
@@ -736,6 +740,8 @@ ALONE = 3.0
 """Mean square over that of the other runs from which on a run is looked at by itself."""
 FEWEST = 4
 """Runs from which on some can be judged by the others."""
+STARTS = 6
+"""Halves of the runs, drawn, from which runs that agree are looked for, beside the plain ones."""
 ROUNDS = 8
 """Of finding the runs that agree, and of finding the size of a step, at most."""
 SETTLED = 1e-3
@@ -794,18 +800,27 @@ def suspects(trials: Trials) -> list[Found]:
 
 
 def _of_some_runs(trials: Trials, base: Tried) -> list[Found]:
-    """Return the mistakes of runs that others do not foresee, and what the model leaves of those others.
+    """Return the mistakes of runs that others do not foresee.
 
     Of several ways to divide the runs the one with the fewest mistakes, then the likeliest; none where a fit
-    without them is not explained.
+    without them is not explained. The noise is that of the runs that agree.
     """
-    divided = _divisions(trials, base)
-    floor = min((agreed.mean(agreed.left) for agreed in divided.values()), default=1.0)
-    least = float(np.clip(floor, 1.0, 1.0 if trials.stated else EXCESS))  # what an estimated noise may lack
-    may_stay = (1 - EXPLAINS) * _excess(base, least)
+    agreeing = _agreeing(trials, base)
+    for some in agreeing:
+        agreed = trials.fitted((), some)
+        noise = agreed and noise_followed(agreed.log, agreed.cost.at(agreed.p), trials.noise)
+        if noise:
+            trials = replace(trials, noise=noise)
+            known = trials.fitted()
+            if known is None or not known.left:
+                return []
+            base = known
+            break
+    divided = _divisions(trials, base, agreeing)
+    may_stay = (1 - EXPLAINS) * _excess(base, 1.0)
     explained: list[tuple[int, float, list[Found]]] = []
     for odd, agreed in divided.items():
-        if _excess(agreed, least) > may_stay:  # no mistake of other runs lowers it
+        if _excess(agreed, 1.0) > may_stay:  # no mistake of other runs lowers it
             continue
         some = [
             one
@@ -813,7 +828,7 @@ def _of_some_runs(trials: Trials, base: Tried) -> list[Found]:
             if base.mean(base.left, one.correction.runs) >= EXCESS
         ]  # else one calibration describes all
         after = trials.fitted([one.correction for one in some]) if some else None
-        if after is not None and after.left and _explains(base, after, least):
+        if after is not None and after.left and _explains(base, after):
             explained.append((len(some), after.mean(after.deviance), some))
     found = min(explained, key=lambda one: one[:2], default=(0, 0.0, []))[2]
     alone = [
@@ -878,10 +893,12 @@ UNEXPLAINED = 0.003
 stroke."""
 
 
-def _divisions(trials: Trials, base: Tried) -> dict[tuple[int, ...], Tried]:
+def _divisions(
+    trials: Trials, base: Tried, agreeing: Sequence[list[int]]
+) -> dict[tuple[int, ...], Tried]:
     """Return runs that others do not foresee, with the fit of those others: the ways to divide a log."""
     out: dict[tuple[int, ...], Tried] = {}
-    for some in _agreeing(trials, base):
+    for some in agreeing:
         agreed = trials.fitted((), some)
         rest = agreed and trials.at((), agreed.p, [r for r in base.left if r not in some])
         if not agreed or not rest:
@@ -906,7 +923,9 @@ def _agreeing(trials: Trials, base: Tried) -> list[list[int]]:
     runs, out, known = list(base.left), list[list[int]](), set[tuple[int, ...]]()
     half = (len(runs) + 1) // 2
     others = sorted(runs, key=base.left.__getitem__)[:-1]
-    for begin in (sorted(others), runs[:half], runs[-half:]) if len(runs) >= FEWEST else ():
+    rng = np.random.default_rng(0)
+    drawn = [sorted(rng.choice(runs, half, replace=False).tolist()) for _ in range(STARTS)]
+    for begin in (sorted(others), runs[:half], runs[-half:], *drawn) if len(runs) >= FEWEST else ():
         some, agreed = begin, list[int]()
         for _ in range(ROUNDS):
             if tuple(some) in known:  # they stay, or come round again
@@ -1217,7 +1236,7 @@ def _in_runs(trials: Trials, base: Tried, odd: Sequence[int]) -> list[Found]:
     after = trials.at([one.correction for one in out], p, odd)
     stays = sum(now.counts[r] * max(n - 1, 0.0) for r, n in after.left.items()) if after else np.inf
     if not after or stays > may_stay or max(after.left.values(), default=np.inf) > ALONE * floor:
-        out = _other_device(trials, now, odd, floor) or out
+        out = _other_device(trials, now, base, odd) or out
     return out
 
 
@@ -1260,17 +1279,17 @@ def _of(c: Correction, runs: Sequence[int]) -> Correction:
     return c if c.runs else c.in_runs(runs)
 
 
-def _other_device(trials: Trials, now: Tried, runs: Sequence[int], floor: float) -> list[Found]:
+def _other_device(trials: Trials, now: Tried, agreed: Tried, runs: Sequence[int]) -> list[Found]:
     """Return runs that parameters, and gains of readings, of their own describe, where no mistake does.
 
-    As well as the other runs are described, to `floor`: so many parameters leave nothing but noise. Without
-    gains the noise is the same as in the other runs, with them it is in proportion to the gain.
+    As the other runs are `agreed` by theirs: so many parameters leave nothing but noise. Without gains the
+    noise is the same as in the other runs, with them it is in proportion to the gain.
     """
-    readings = sum(now.counts[r] for r in runs) * len(trials.model.channels)
-    most = floor + CHANCE * (2 / readings) ** 0.5
+    if agreed.mean(agreed.left) > EXCESS:
+        return []
 
     def described(own: Tried | None) -> list[Found]:
-        if own is None or not own.left or own.mean(own.left) >= most:
+        if own is None or not own.left or own.mean(own.left) >= EXCESS:
             return []
         after = own.mean(own.deviance), own.mean(own.left)
         one = Judged(now.mean(now.deviance), *after, Correction("other_device", runs=tuple(runs)))
