@@ -6,7 +6,6 @@ over the noise floor decides. Mistakes of single runs are tried at the parameter
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -26,7 +25,7 @@ from hallsym.estimation.identifiable import determine
 from hallsym.estimation.likelihood import Cost, cost_near, cost_of
 from hallsym.estimation.optimum import NEWTON, SETTLING, closed_form, linear_fit, optimum, refit
 from hallsym.estimation.task import noise_of, silent
-from hallsym.families.recording import Correction, as_corrections, said
+from hallsym.families.recording import Correction, as_corrections, corrected_run, said
 from hallsym.log import Log, Noise
 from hallsym.log.batches import batches
 from hallsym.log.columns import RUN, is_moving
@@ -280,7 +279,7 @@ def hypotheses(
 
 
 _Key = tuple[bytes, tuple[int, ...] | None, bool]
-"""Parameters, runs, and whether these are read as one: of a tangent that is kept."""
+"""Parameters of a tangent, runs, and whether these are read as one: of what is kept."""
 
 
 @dataclass(eq=False)
@@ -291,13 +290,8 @@ class Trials:
     model: Model
     noise: Noise
     _last: dict[object, Log] = field(default_factory=dict, init=False)
-    _tangents: dict[_Key, Read] = field(default_factory=dict, init=False)
+    _known: dict[_Key, Read] = field(default_factory=dict, init=False)
     _noise: dict[str, dict[int, float]] = field(default_factory=dict, init=False)
-
-    @property
-    def stated(self) -> bool:
-        """Whether the noise of all readings is stated."""
-        return all(self.noise[c].source == "given" for c in self.model.channels)
 
     @cached_property
     def runs_merge(self) -> bool:
@@ -372,30 +366,6 @@ class Trials:
         """The run of each sample."""
         return np.concatenate([np.full(at.stop - at.start, run) for run, at in self.spans])
 
-    def corrected(
-        self, corrections: Sequence[Correction], spans: Sequence[tuple[int, slice]]
-    ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Return the columns of some runs without mistakes, run by run, and which samples stay."""
-        columns = {c: np.concatenate([v[at] for _, at in spans]) for c, v in self.full.items()}
-        ends = np.cumsum([0, *(at.stop - at.start for _, at in spans)]).tolist()
-        keep = np.ones(ends[-1], dtype=bool)
-        for one in corrections:
-            parts = [(run, slice(*ends[k : k + 2])) for k, (run, _) in enumerate(spans)]
-            if not one.runs and not one.mistake.by_run:
-                parts = [(-1, slice(0, ends[-1]))]
-            before = {c: columns[c] for c in one.touched(self.columns)}
-            columns |= {c: v.copy() for c, v in before.items()}
-            for run, at in parts:
-                if one.runs and run not in one.runs:
-                    continue
-                data = {c: v[at] for c, v in before.items()}
-                stays = one.mistake.undo(one, data)
-                for c, v in data.items():
-                    columns[c][at] = v
-                if stays is not None:
-                    keep[at] &= stays
-        return columns, keep
-
     def log(
         self,
         corrections: Sequence[Correction] = (),
@@ -417,7 +387,13 @@ class Trials:
     def _log(self, corrections: Sequence[Correction], runs: Sequence[int] | None, merged: bool) -> Log:
         own = runs is not None and not {*self.model.period} & {*self.model.channels}
         spans = [(r, at) for r, at in self.spans if r in runs] if own and runs else self.spans
-        columns, keep = self.corrected(corrections, spans)
+        done = [corrected_run(Block(run, {c: v[at] for c, v in self.full.items()}), corrections)
+                for run, at in spans]  # fmt: skip
+        columns = dict(joined([data for data, _ in done], self.columns))
+        keep = np.concatenate([
+            np.ones(at.stop - at.start, bool) if stays is None else stays
+            for (_, at), (_, stays) in zip(spans, done, strict=True)
+        ])  # fmt: skip
         run = np.concatenate([self.run[at] for _, at in spans])
         noise = self.noise
         for one in corrections:
@@ -438,11 +414,6 @@ class Trials:
         arrays = {RUN: run[pick] * (not merged), **{c: v[pick] for c, v in columns.items()}}
         return as_continuous(Log.from_arrays(arrays, noise, self.given.meta))
 
-    @cached_property
-    def whole(self) -> Read:
-        """What is read of all runs as they were logged, for a model with run statistics."""
-        return self._read((), None)
-
     def read(
         self,
         corrections: Sequence[Correction],
@@ -457,16 +428,13 @@ class Trials:
         `p`: parameters (n,) of the tangent that a model without run statistics is read by, its runs as one
         where they are `merged`.
         """
-        if p is None:
-            found = self.whole
-        else:
-            at = p.tobytes()
-            if any(known[0] != at for known in self._tangents):
-                self._tangents.clear()
-            key = at, tuple(runs) if runs else None, merged
-            if key not in self._tangents:
-                self._tangents[key] = self._read((), runs, p, merged=merged)
-            found = self._tangents[key]
+        at, own = (b"", None) if p is None else (p.tobytes(), runs)
+        if any(known[0] != at for known in self._known):
+            self._known.clear()
+        key = at, tuple(own) if own else None, merged
+        if key not in self._known:
+            self._known[key] = self._read((), own, p, merged=merged)
+        found = self._known[key]
         for one in corrections:
             sources = one.mistake.sources(one)
             of_all = not one.runs or (runs is not None and {*runs} <= {*one.runs})
@@ -634,12 +602,6 @@ class Tried:
             return {}
         return dict(zip(self.cost.summary.runs, values.tolist(), strict=True))
 
-    @property
-    def far(self) -> float:
-        """How far the parameters are from their nominal values, in widths of their bounds."""
-        width = np.array([one.width for one in self.model.parameters])
-        return float(np.linalg.norm((self.p - self.model.nominal) / np.where(width > 0, width, 1.0)))
-
     @cached_property
     def deviance(self) -> dict[int, float]:
         """Twice the negative logarithm of the likelihood of the logged readings, by run and per reading.
@@ -731,8 +693,6 @@ def _screen(trials: Trials, base: Tried) -> Callable[[Correction], float]:
 EXPLAINS = 0.9
 """Share of the excess that a correction must explain to be named: one that leaves a tenth of it is near the
 right one, not it."""
-CUT_OFF = 4.0
-"""Mean square that steps leave over step^2/12, at most: of numbers cut off, not rounded, step^2/3."""
 EXCESS = 1.5
 """Mean square of the residual over the noise from which on a mistake is looked for: a noise that is stated
 20 % too small is none."""
@@ -740,8 +700,6 @@ ALONE = 3.0
 """Mean square over that of the other runs from which on a run is looked at by itself."""
 FEWEST = 4
 """Runs from which on some can be judged by the others."""
-STARTS = 6
-"""Halves of the runs, drawn, from which runs that agree are looked for, beside the plain ones."""
 ROUNDS = 8
 """Of finding the runs that agree, and of finding the size of a step, at most."""
 SETTLED = 1e-3
@@ -788,15 +746,9 @@ def suspects(trials: Trials) -> list[Found]:
     runs = list(base.left)
     best = _best(trials, base, lambda c: trials.fitted((c,)), _screen(trials, base), runs)
     after = trials.fitted((best.correction,)) if best else None
-    whole = [best] if best and after and _explains(base, after) else []
-    if after and whole and after.mean(after.left) < EXCESS:
-        return whole
-    found = _of_some_runs(trials, base)
-    if after and whole:  # which leaves more than noise: mistakes of some runs may leave less
-        other = trials.fitted([one.correction for one in found]) if found else None
-        better = other and other.left and other.mean(other.deviance) < after.mean(after.deviance)
-        return found if better else whole
-    return found
+    if best and after and _explains(base, after):
+        return [best]
+    return _of_some_runs(trials, base)
 
 
 def _of_some_runs(trials: Trials, base: Tried) -> list[Found]:
@@ -805,22 +757,16 @@ def _of_some_runs(trials: Trials, base: Tried) -> list[Found]:
     Of several ways to divide the runs the one with the fewest mistakes, then the likeliest; none where a fit
     without them is not explained. The noise is that of the runs that agree.
     """
-    agreeing = _agreeing(trials, base)
-    for some in agreeing:
-        agreed = trials.fitted((), some)
-        noise = agreed and noise_followed(agreed.log, agreed.cost.at(agreed.p), trials.noise)
-        if noise:
-            trials = replace(trials, noise=noise)
-            known = trials.fitted()
-            if known is None or not known.left:
-                return []
-            base = known
-            break
-    divided = _divisions(trials, base, agreeing)
-    may_stay = (1 - EXPLAINS) * _excess(base, 1.0)
+    divided = _divisions(trials, base)
+    noise = (noise_followed(one.log, one.cost.at(one.p), trials.noise) for one in divided.values())
+    if known := next(filter(None, noise), None):
+        trials = replace(trials, noise=known)
+        base = trials.fitted() or base
+        divided = _divisions(trials, base)
+    may_stay = (1 - EXPLAINS) * _excess(base)
     explained: list[tuple[int, float, list[Found]]] = []
     for odd, agreed in divided.items():
-        if _excess(agreed, 1.0) > may_stay:  # no mistake of other runs lowers it
+        if _excess(agreed) > may_stay:  # no mistake of other runs lowers it
             continue
         some = [
             one
@@ -854,22 +800,18 @@ def _among(divided: Mapping[tuple[int, ...], Tried], found: Found, explained: Se
     return replace(found, rivals=rivals, single=not rivals)
 
 
-def _excess(tried: Tried, floor: float) -> float:
-    """Return the squares that are left over a floor, and over `CHANCE`, over the noise."""
+def _excess(tried: Tried) -> float:
+    """Return the squares that are left over the noise, and over `CHANCE`."""
     samples = sum(tried.counts[r] for r in tried.left)
     chance = CHANCE * (2 / max(samples * len(tried.model.channels), 1)) ** 0.5
-    return samples * (tried.mean(tried.left) - floor - chance)
+    return samples * (tried.mean(tried.left) - 1 - chance)
 
 
-def _explains(base: Tried, after: Tried, floor: float = 1.0) -> bool:
-    """Return whether a log without mistakes, fitted again, shows that they were what was wrong.
-
-    `floor`: mean square that is left without a mistake, and by chance `CHANCE` more.
-    """
+def _explains(base: Tried, after: Tried) -> bool:
+    """Return whether a log without mistakes, fitted again, shows that they were what was wrong."""
     gain = base.mean(base.deviance) - after.mean(after.deviance)
-    readings = sum(after.counts.values()) * len(after.model.channels)
-    over = after.mean(after.left) - floor - CHANCE * np.sqrt(2 / max(readings, 1.0))
-    return gain >= EXPLAINS * (gain + max(over, 0.0)) and _follows(base, after)
+    over = max(_excess(after), 0.0) / max(sum(after.counts[r] for r in after.left), 1.0)
+    return gain >= EXPLAINS * (gain + over) and _follows(base, after)
 
 
 def _follows(base: Tried, after: Tried) -> bool:
@@ -893,39 +835,18 @@ UNEXPLAINED = 0.003
 stroke."""
 
 
-def _divisions(
-    trials: Trials, base: Tried, agreeing: Sequence[list[int]]
-) -> dict[tuple[int, ...], Tried]:
-    """Return runs that others do not foresee, with the fit of those others: the ways to divide a log."""
-    out: dict[tuple[int, ...], Tried] = {}
-    for some in agreeing:
-        agreed = trials.fitted((), some)
-        rest = agreed and trials.at((), agreed.p, [r for r in base.left if r not in some])
-        if not agreed or not rest:
-            continue
-        odd = [r for r, left in rest.left.items() if left > EXCESS]
-        # of parameters that are not known exactly a run may show more than when it is fitted with the others
-        with_near = [*agreed.left, *(r for r in odd if rest.left[r] < ALONE)]
-        again = trials.fitted((), sorted(with_near)) if len(with_near) > len(agreed.left) else None
-        if again and max(again.left.values(), default=np.inf) < EXCESS:
-            agreed, odd = again, [r for r in odd if r not in again.left]
-        if odd:
-            out.setdefault(tuple(odd), agreed)
-    return out
+def _divisions(trials: Trials, base: Tried) -> dict[tuple[int, ...], Tried]:
+    """Return runs that others do not foresee, with the fit of those others: the ways to divide a log.
 
-
-def _agreeing(trials: Trials, base: Tried) -> list[list[int]]:
-    """Return runs that one set of parameters describes equally well, half of them at least; one set or more.
-
-    Least trimmed squares from all runs but the worst, and from the first and the last half: the half that is
-    described best is fitted again, and all that it foresees with it, until they stay.
+    The others, half of the runs at least, are described equally well by one set of parameters. They are found
+    by least trimmed squares from all runs but the worst, and from the first and the last half: the half that
+    is described best is fitted again, and all that it foresees with it, until they stay. A division that
+    leaves out the runs of another, and more, is none.
     """
-    runs, out, known = list(base.left), list[list[int]](), set[tuple[int, ...]]()
+    runs, out, known = list(base.left), dict[tuple[int, ...], Tried](), set[tuple[int, ...]]()
     half = (len(runs) + 1) // 2
     others = sorted(runs, key=base.left.__getitem__)[:-1]
-    rng = np.random.default_rng(0)
-    drawn = [sorted(rng.choice(runs, half, replace=False).tolist()) for _ in range(STARTS)]
-    for begin in (sorted(others), runs[:half], runs[-half:], *drawn) if len(runs) >= FEWEST else ():
+    for begin in (sorted(others), runs[:half], runs[-half:]) if len(runs) >= FEWEST else ():
         some, agreed = begin, list[int]()
         for _ in range(ROUNDS):
             if tuple(some) in known:  # they stay, or come round again
@@ -940,24 +861,30 @@ def _agreeing(trials: Trials, base: Tried) -> list[list[int]]:
             agreed = [r for r in runs if seen.left[r] < EXCESS * usual]
             described = len(agreed) >= half and seen.mean(seen.left, agreed) < EXCESS
             some = agreed if described else sorted(best)
-        if len(runs) > len(agreed) >= half and agreed not in out:
-            out.append(agreed)
-    return out
+        fit = trials.fitted((), agreed) if len(runs) > len(agreed) >= half else None
+        rest = fit and trials.at((), fit.p, [r for r in runs if r not in agreed])
+        if not fit or not rest:
+            continue
+        # of parameters that are not known exactly a run may show more than when it is fitted with the others
+        near = [r for r, left in rest.left.items() if left < ALONE]
+        again = trials.fitted((), sorted((*agreed, *near))) if near else None
+        fit = again if again and max(again.left.values(), default=np.inf) < EXCESS else fit
+        if odd := tuple(r for r in rest.left if r not in fit.left):
+            out[odd] = fit
+    return {odd: fit for odd, fit in out.items() if not any({*other} < {*odd} for other in out)}
 
 
 @dataclass(frozen=True, eq=False)
 class Judged:
     """A correction that was tried: the deviance per reading before and after, and the mean square it leaves.
 
-    Before: of the samples that the correction leaves. `far`: how far the parameters are from nominal, in
-    widths of their bounds.
+    Before: of the samples that the correction leaves.
     """
 
     before: float
     after: float
     left: float
     correction: Correction
-    far: float = 0.0
 
     @property
     def gain(self) -> float:
@@ -1007,19 +934,29 @@ def _best(
     def judge(c: Correction) -> None:
         """Try a correction."""
         found = tried(c)
-        if found is None or not found.left:
+        if found is None or not found.left or not np.isfinite(base.rest(found)) or not _follows(base, found):
             return
-        left = found.mean(found.left, runs)
-        if c.mistake.keeps and left > CUT_OFF:  # a noise that is larger is not all that is wrong
-            return
-        if not np.isfinite(base.rest(found)) or not _follows(base, found):
-            return
-        inside = _inside(trials, found, c, runs) if c.kind == "clipped" else 0.0
         same = without_ends(replace(c, columns=())) if c.kind in STEPS else before
-        beyond = inside + trials.quieter(c, runs)
-        one = Judged(same, found.mean(found.deviance, runs) + beyond, left + inside, c, found.far)
+        inside = _inside(trials, found, c, runs) if c.kind == "clipped" else 0.0
+        after = found.mean(found.deviance, runs) + inside + trials.quieter(c, runs)
+        one = Judged(same, after, found.mean(found.left, runs) + inside, c)
         if np.isfinite(one.gain):
             seen.append(one)
+
+    def searched(one: Judged) -> bool:  # a factor that was searched assumes most
+        return one.correction.kind == "scale" and one.correction not in shares
+
+    def assumes(one: Judged) -> tuple[bool, tuple[int, int], int]:  # of units the most usual
+        unit = one.correction.unit
+        return searched(one), one.plain, [*UNITS].index(unit) if unit else 0
+
+    def chosen() -> tuple[list[Judged], Judged, float]:
+        """Return those that explain as much as the best, that of them which assumes least, and how near."""
+        good = [one for one in seen if _good(one)]
+        best = min(good, key=lambda one: one.after)
+        close = _close(base, runs, best.left)
+        equal = [one for one in good if one.after - best.after < close]
+        return equal, min(equal, key=lambda one: (assumes(one), one.after)), close
 
     plain = hypotheses(trials.model, trials.columns, base.worst(runs), trials.moved(runs))
     more = [c for c in (*plain, *of_samples(trials, base, known)) if not known or key(c) in known]
@@ -1031,33 +968,17 @@ def _best(
     _refined(trials.model, shares, seen, screened, deviance, judge)
     if not any(map(_good, seen)):
         return None
-    best = min(filter(_good, seen), key=lambda one: one.after)
-    if best.correction.kind == "scale" and not best.correction.unit:  # a screen does not distinguish decades
+    equal, first, close = chosen()
+    if first.correction.kind == "scale" and not first.correction.unit:  # no screen distinguishes decades
         judged = {one.correction for one in seen}
-        for c in (c for c in shares if _same(c, best.correction) and c not in judged):
+        for c in (c for c in shares if _same(c, first.correction) and c not in judged):
             judge(c)
-    best = min(filter(_good, seen), key=lambda one: one.after)
-    close = _close(base, runs, best.left)
-
-    def searched(one: Judged) -> bool:  # a factor that was searched assumes most
-        return one.correction.kind == "scale" and one.correction not in shares
-
-    near = min((one for one in seen if _good(one) and one.after - best.after < close),
-               key=lambda one: (searched(one), one.plain))  # fmt: skip
-    if searched(near):
+        equal, first, close = chosen()
+    if searched(first):
         for by in (-KNOWN, KNOWN):
-            judge(replace(near.correction, numbers=(near.correction.numbers[0] * (1 + by),)))
-    equal = [one for one in seen if _good(one) and one.after - best.after < close]
-    # of units, whose readings differ by less than parameters can make up for, the most usual of those that
-    # leave the machine as near to the nominal one, within a width of one bound
-    nearest = min(one.far for one in equal) ** 2 + 1.0
-
-    def assumes(one: Judged) -> tuple[bool, tuple[int, int], bool, int]:
-        unit = one.correction.unit
-        usual = (one.far**2 >= nearest, [*UNITS].index(unit)) if unit else (False, 0)
-        return searched(one), one.plain, *usual
-
-    first = min(equal, key=lambda one: (assumes(one), one.after))
+            c = first.correction
+            judge(replace(c, numbers=(c.numbers[0] * (1 + by),)))
+        equal, first, close = chosen()
     at = tried(first.correction)
 
     def differs(one: Judged) -> bool:
@@ -1231,47 +1152,11 @@ def _in_runs(trials: Trials, base: Tried, odd: Sequence[int]) -> list[Found]:
                 left.remove(r)
             elif (lost := lost + over.get(r, 0.0)) > may_stay:
                 break
-        out = _fewest(trials, out)
-    floor = max(base.mean(base.left), 1.0)
     after = trials.at([one.correction for one in out], p, odd)
     stays = sum(now.counts[r] * max(n - 1, 0.0) for r, n in after.left.items()) if after else np.inf
-    if not after or stays > may_stay or max(after.left.values(), default=np.inf) > ALONE * floor:
+    if not after or stays > may_stay or max(after.left.values(), default=np.inf) > ALONE:
         out = _other_device(trials, now, base, odd) or out
     return out
-
-
-def _fewest(trials: Trials, found: Sequence[Found]) -> list[Found]:
-    """Return mistakes of runs as few as their rivals allow: of those that do as well the one in most runs.
-
-    A gain of several runs is one number.
-    """
-    often = Counter(k for one in found for k in {key(c) for c in (one.correction, *one.rivals)})
-    out: dict[Key, list[Found]] = {}
-    for one in found:
-        every = (one.correction, *one.rivals)
-        first = max(every, key=lambda c: often[key(c)])
-        rivals = tuple(c for c in every if c != first)
-        out.setdefault(key(first), []).append(replace(one, correction=first, rivals=rivals))
-    single: list[Found] = []
-    for same in out.values():
-        runs = sorted(r for one in same for r in one.correction.runs)
-        c = _one_gain(trials, same[0].correction, runs) if len(same) > 1 else None
-        single += [replace(same[0], correction=c, rivals=())] if c else same
-    return single
-
-
-def _one_gain(trials: Trials, c: Correction, runs: list[int]) -> Correction | None:
-    """Return the gain of a column that several runs share, fitted with the parameters; None of others."""
-    if c.kind != "gain_step" or len(c.numbers) != 1:
-        return None
-    known: Correction | None = c.in_runs(runs)
-    for _ in range(ROUNDS):
-        before, at = known, trials.fitted((known,)) if known else None
-        own = at and trials.at((), at.p, runs)
-        known = _step(trials, own, c.columns[0], c.kind, runs, within=False) if own else None
-        if not known or not before or abs(known.numbers[0] / before.numbers[0] - 1) < SETTLED:
-            break
-    return known
 
 
 def _of(c: Correction, runs: Sequence[int]) -> Correction:
@@ -1288,14 +1173,15 @@ def _other_device(trials: Trials, now: Tried, agreed: Tried, runs: Sequence[int]
     if agreed.mean(agreed.left) > EXCESS:
         return []
 
-    def described(own: Tried | None) -> list[Found]:
-        if own is None or not own.left or own.mean(own.left) >= EXCESS:
-            return []
-        after = own.mean(own.deviance), own.mean(own.left)
-        one = Judged(now.mean(now.deviance), *after, Correction("other_device", runs=tuple(runs)))
-        return [Found(one.correction, one.explains)]
-
-    return described(trials.fitted((), runs)) or described(_with_gains(trials, now.p, runs))
+    floor = max(agreed.mean(agreed.left), 1.0)
+    most = floor + _close(now, runs, floor)
+    for fitted in (lambda: trials.fitted((), runs), lambda: _with_gains(trials, now.p, runs)):
+        own = fitted()
+        if own is not None and own.left and own.mean(own.left) < most:
+            after = own.mean(own.deviance), own.mean(own.left)
+            one = Judged(now.mean(now.deviance), *after, Correction("other_device", runs=tuple(runs)))
+            return [Found(one.correction, one.explains)]
+    return []
 
 
 FREE = (1e-4, 1e4)
@@ -1388,6 +1274,7 @@ def of_samples(trials: Trials, tried: Tried, known: Set[Key] = frozenset()) -> I
     `known`: those alone whose size takes fits to find, where there are any.
     """
     runs = list(tried.left)
+    yield from _turns(trials, runs)
     yield from _rails(trials, runs)
     yield from _coarse(trials, runs)
     if len(runs) == 1:
@@ -1399,6 +1286,18 @@ def of_samples(trials: Trials, tried: Tried, known: Set[Key] = frozenset()) -> I
 
 SEARCHED = 6
 """Runs, and readings, that are looked at one by one, at most."""
+
+
+def _turns(trials: Trials, runs: Sequence[int]) -> Iterator[Correction]:
+    """Yield readings that repeat with their range in some runs as a turn: an angle in volts, or in counts.
+
+    Whole numbers of turns are tried as such.
+    """
+    some = np.isin(trials.run, list(runs))
+    for c in (c for c in trials.model.channels if c in trials.model.period):
+        turns = float(np.ptp(trials.full[c][some])) / trials.model.period[c]
+        if turns > 0 and abs(round(turns) / turns - 1) > KNOWN:
+            yield Correction("scale", (c,), (1 / turns,))
 
 
 def _rails(trials: Trials, runs: Sequence[int]) -> Iterator[Correction]:

@@ -73,10 +73,6 @@ class Correction:
         runs = ["in", run_list(self.runs)] if self.runs else []
         return " ".join([self.kind, *columns, *numbers, *runs])
 
-    def touched(self, columns: Sequence[str]) -> tuple[str, ...]:
-        """Return which columns its undoing changes or looks at, of those that there are."""
-        return tuple(c for c in columns if c in self.columns) or tuple(columns[:1])
-
     def in_runs(self, runs: Sequence[int]) -> "Correction":
         """Return the same of some runs."""
         return replace(self, runs=tuple(runs))
@@ -108,7 +104,7 @@ class Mistake:
 
     `numbers`: names of the numbers after the columns; `since`: the second is a sample, after "from", and may
     be absent. `pair`: the text names two columns. `whole_run`: the text names runs in place of columns.
-    `by_run`: samples of a run are not undone one by one. `keeps`: no value changes, the noise alone does.
+    `keeps`: no value changes, the noise alone does.
     `cuts`: its columns tell which samples are left out. `factor`: what undoing it multiplies columns by.
     `sources`: where the right values stand, of a mistake that each sample is put right by alone, by a factor.
     """
@@ -120,7 +116,6 @@ class Mistake:
     since: bool = False
     pair: bool = False
     whole_run: bool = False
-    by_run: bool = False
     noise: Callable[[Correction, Noise], Noise] = lambda c, noise: noise
     keeps: bool = False
     cuts: bool = False
@@ -280,24 +275,23 @@ MISTAKES = {
             "exchange", "columns {columns} are exchanged", _from_sources, pair=True, noise=_swapped_noise,
             sources=_swapped,
         ),
-        Mistake("delay", "the values of {columns} come {delay}", _earlier, ("SAMPLES",), by_run=True,
-                cuts=True),
+        Mistake("delay", "the values of {columns} come {delay}", _earlier, ("SAMPLES",), cuts=True),
         Mistake(
             "zero_moved", "the zero of {columns} moves by {0:.4g}{since}", _shift_back, ("VALUE", "SAMPLE"),
-            since=True, by_run=True,
+            since=True,
         ),
         Mistake(
             "gain_step", "the gain of {columns} is {0:.4g} times what it is elsewhere{since}", _gain_back,
-            ("FACTOR", "SAMPLE"), since=True, by_run=True, factor=lambda c: 1 / c.numbers[0],
+            ("FACTOR", "SAMPLE"), since=True, factor=lambda c: 1 / c.numbers[0],
         ),
         Mistake("clipped", "the values of {columns} stop at {rails}", _off_rails, ("LOW", "HIGH"), cuts=True),
         Mistake(
             "stuck", "the values of {columns} stand still from sample {0:.0f} to {1:.0f}", _without,
-            ("START", "STOP"), by_run=True, cuts=True,
+            ("START", "STOP"), cuts=True,
         ),
         Mistake(
             "averaged", "the values of {columns} are means over {0:.0f} samples", _sharpen,
-            ("SAMPLES",), by_run=True, noise=_sharpened_noise, cuts=True,
+            ("SAMPLES",), noise=_sharpened_noise, cuts=True,
         ),
         Mistake(
             "coarse_steps", "the values of {columns} come in steps of {0:.4g}", _kept, ("STEP",),

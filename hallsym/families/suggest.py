@@ -514,6 +514,10 @@ def _with_unit(
         return replace(
             guess, units=("v",), scale=1 / full, why=f"{guess.why}; counts, 1 V is taken for {full}"
         )
+    if going_round and stated:  # an output in proportion to the angle
+        span = float(np.nanmax(values) - np.nanmin(values))
+        why = f"{guess.why}; CHECK THE TURN: its range of {span:.4g} {stated} is taken for one"
+        return replace(guess, units=("rad",), scale=float(f"{2 * np.pi / span:.6g}"), why=why)
     if stated or whole:
         unit = {"m": "um", "rad": "urad"}.get(kinds[0], kinds[0])
         others = [] if stated else [u.name for u in units if u.name != unit]
