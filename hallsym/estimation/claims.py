@@ -158,21 +158,18 @@ def assigned(given: Log, model: Model) -> tuple[Correction, ...]:
 
     Every order and sign of up to `ORDERED` channels is tried.
     """
-    with np.errstate(all="ignore"):
-        return _assigned(Trials(given, model, noise_of(given, model)))
-
-
-def _assigned(trials: Trials) -> tuple[Correction, ...]:
-    model, base = trials.model, trials.fitted()
-    if base is None or not base.left or base.mean(base.left) < EXCESS or len(model.channels) > ORDERED:
-        return ()
+    trials = Trials(given, model, noise_of(given, model))
     found: list[tuple[float, int, tuple[Correction, ...]]] = []
-    for order in permutations(model.channels):
-        for signs in product((1, -1), repeat=len(order)):
-            wires = as_corrections(tuple(zip(order, signs, strict=True)), model.channels)
-            after = trials.fitted(wires) if wires else None
-            if after is not None and after.left and _explains(base, after):
-                found.append((round(after.mean(after.left), 2), len(wires), wires))
+    with np.errstate(all="ignore"):
+        base = trials.fitted()
+        if base is None or not base.left or base.mean(base.left) < EXCESS or len(model.channels) > ORDERED:
+            return ()
+        for order in permutations(model.channels):
+            for signs in product((1, -1), repeat=len(order)):
+                wires = as_corrections(tuple(zip(order, signs, strict=True)), model.channels)
+                after = trials.fitted(wires) if wires else None
+                if after is not None and after.left and _explains(base, after):
+                    found.append((round(after.mean(after.left), 2), len(wires), wires))
     return min(found, key=lambda one: one[:2])[2] if found else ()
 
 
@@ -215,26 +212,24 @@ STEPS = {"delay": sorted({*SHIFTS, 0, *(-s for s in SHIFTS)}), "averaged": [2, *
 """The samples of each kind between which others are tried about the best."""
 
 
-def groups(model: Model, columns: Sequence[str], worst: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return columns that one device writes: each, all readings, all references, these and the state.
+def groups(
+    model: Model, columns: Sequence[str], worst: Sequence[str]
+) -> tuple[list[tuple[str, ...]], list[tuple[str, ...]]]:
+    """Return columns that one device writes, and those that one setting may change.
 
-    `worst`: the readings that are looked at one by one.
+    A device writes one, all readings, all references, or these and the state; a setting changes these too,
+    and all columns of a unit, without readings and with them. `worst`: the readings that are looked at one
+    by one.
     """
-    logged = [c for c in (*model.references, *model.state) if c in columns]
-    readings = [c for c in model.channels if c in columns]
-    references = [c for c in logged if c in model.references]
-    together = (tuple(readings), tuple(references), tuple(logged))
-    return list(dict.fromkeys([*((c,) for c in (*logged, *worst)), *(g for g in together if g)]))
-
-
-def units(model: Model, columns: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return the columns of each unit, without readings and with them: one setting may change them all."""
-    logged = [c for c in (*model.references, *model.state) if c in columns]
-    every = [*(c for c in model.channels if c in columns), *logged]
-    return [
+    readings, references = ([c for c in some if c in columns] for some in (model.channels, model.references))
+    logged = [*references, *(c for c in model.state if c in columns)]
+    together = [tuple(some) for some in (readings, references, logged) if some]
+    each = [*((c,) for c in (*logged, *worst)), *together]
+    of_unit = [
         tuple(c for c in some if si_unit(c) == unit)
-        for unit in dict.fromkeys(map(si_unit, logged)) for some in (logged, every)
+        for unit in dict.fromkeys(map(si_unit, logged)) for some in (logged, [*readings, *logged])
     ]  # fmt: skip
+    return list(dict.fromkeys(each)), list(dict.fromkeys([*each, *of_unit]))
 
 
 def scales(model: Model, columns: Sequence[str]) -> list[tuple[str, float]]:
@@ -260,8 +255,7 @@ def hypotheses(
 
     `worst`: the readings that are looked at one by one. `moved`: the columns that move within these runs.
     """
-    each = groups(model, columns, worst)
-    settings = list(dict.fromkeys([*each, *units(model, columns)]))
+    each, settings = groups(model, columns, worst)
     yield from (Correction("sign", g) for g in settings)
     for g in settings:
         around = {*model.period} & {*g}  # of what goes round each factor is another one
@@ -378,13 +372,8 @@ class Trials:
         `merged`: as one run.
         """
         key = tuple(corrections), runs and tuple(runs), merged
-        if key not in self._last:
-            log = self._log(corrections, runs, merged)
-            self._last.clear()
-            self._last[key] = log
-        return self._last[key]
-
-    def _log(self, corrections: Sequence[Correction], runs: Sequence[int] | None, merged: bool) -> Log:
+        if key in self._last:
+            return self._last[key]
         own = runs is not None and not {*self.model.period} & {*self.model.channels}
         spans = [(r, at) for r, at in self.spans if r in runs] if own and runs else self.spans
         done = [corrected_run(Block(run, {c: v[at] for c, v in self.full.items()}), corrections)
@@ -412,7 +401,8 @@ class Trials:
             raise InputError("No sample would be left; leave that correction out.")
         pick = np.flatnonzero(wanted)[::every]
         arrays = {RUN: run[pick] * (not merged), **{c: v[pick] for c, v in columns.items()}}
-        return as_continuous(Log.from_arrays(arrays, noise, self.given.meta))
+        self._last = {key: as_continuous(Log.from_arrays(arrays, noise, self.given.meta))}
+        return self._last[key]
 
     def read(
         self,
@@ -666,14 +656,15 @@ class Tried:
         return float(weights @ np.array([of[r] for r in some]) / max(weights.sum(), 1.0))
 
 
-def _screen(trials: Trials, base: Tried) -> Callable[[Correction], float]:
-    """Return what tells the share of what is left that a correction leaves, without a fit.
+def _screen(trials: Trials, base: Tried, runs: Sequence[int], *, free: bool) -> Callable[[Correction], float]:
+    """Return what tells the share of what is left that a correction leaves in some runs, without a fit.
 
-    Where a fit begins; of a model without run statistics the optimum of its tangent where the log was fitted.
+    `free`: at parameters of its own, where a fit begins, and of a model without run statistics the optimum of
+    its tangent where `base` was fitted. Else at those of `base`.
     """
-    if exact(trials.model):
+    if free and exact(trials.model):
         return lambda c: base.rest(trials.fitted((c,), closely=False))
-    runs, p, merged = list(base.left), base.p, trials.runs_merge
+    p, merged = base.p, trials.runs_merge
     before = trials.at((), p, runs, merged=True) if merged else base
 
     def screened(c: Correction) -> float:
@@ -681,7 +672,9 @@ def _screen(trials: Trials, base: Tried) -> Callable[[Correction], float]:
         if not before or not found:
             return np.inf
         try:
-            return before.rest(replace(found, p=refit(found.cost, p, (), CLOSELY, SETTLING)))
+            return before.rest(
+                replace(found, p=refit(found.cost, p, (), CLOSELY, SETTLING)) if free else found
+            )
         except np.linalg.LinAlgError:  # its noise is beyond numbers
             return np.inf
 
@@ -744,7 +737,7 @@ def suspects(trials: Trials) -> list[Found]:
     if base is None or not base.left or max(base.left.values()) < EXCESS:
         return []
     runs = list(base.left)
-    best = _best(trials, base, lambda c: trials.fitted((c,)), _screen(trials, base), runs)
+    best = _best(trials, base, lambda c: trials.fitted((c,)), _screen(trials, base, runs, free=True), runs)
     after = trials.fitted((best.correction,)) if best else None
     if best and after and _explains(base, after):
         return [best]
@@ -1116,12 +1109,8 @@ def _in_runs(trials: Trials, base: Tried, odd: Sequence[int]) -> list[Found]:
         if now is None or not now.left:
             return None
         tried = cache(lambda c: trials.at((_of(c, runs),), p, runs))
-        one = trials.at((), p, runs, merged=True) if trials.runs_merge else None
-
-        def screened(c: Correction) -> float:
-            return one.rest(trials.at((_of(c, runs),), p, runs, merged=True)) if one else now.rest(tried(c))
-
-        found = _best(trials, now, tried, screened, runs, known)
+        screen = _screen(trials, now, runs, free=False)
+        found = _best(trials, now, tried, lambda c: screen(_of(c, runs)), runs, known)
         after = found and trials.at((_of(found.correction, runs),), p, runs)
         if not found or not after:
             return None
@@ -1388,54 +1377,47 @@ def _step(
     trials: Trials, tried: Tried, column: str, kind: str, runs: Sequence[int], *, within: bool
 ) -> Correction | None:
     gain = kind == "gain_step"
-    size, since = (1.0 if gain else 0.0), 0
-    for k in range(ROUNDS):
-        now = Correction(kind, (column,), (size, float(since)) if within else (size,), tuple(runs))
-        at = tried if k == 0 else trials.at((now,), tried.p, runs)
-        if at is None:
-            return None
-        known = since if k and within else None
-        change, place = _along(at, column, runs, gain=gain, since=known, within=within)
-        if not np.isfinite(change):
-            return None
-        since = place if k == 0 else since
+    size, since = (1.0 if gain else 0.0), _place(tried, column, runs, gain=gain) if within else 0
+    if within and since <= STILL:  # at the first sample that is looked at it is of the whole run, as play is
+        return None
+    at: Tried | None = tried
+    for _ in range(ROUNDS):
+        change = _change(at, column, runs, since, gain=gain) if at else np.nan
         before, size = size, size / (1 - change) if gain else size + change
-        if not 0.05 < (abs(size) if gain else 1.0) < 20:
+        if not np.isfinite(size) or not 0.05 < (abs(size) if gain else 1.0) < 20:
             return None
+        now = Correction(kind, (column,), (size, float(since)) if within else (size,), tuple(runs))
         if abs(size - before) <= SETTLED * abs(size):
             break
-    if within and since == 0:
-        return None
-    return Correction(kind, (column,), (size, float(since)) if within else (size,), tuple(runs))
+        at = trials.at((now,), tried.p, runs)
+    return now
 
 
-def _along(
-    at: Tried, column: str, runs: Sequence[int], *, gain: bool, since: int | None, within: bool
-) -> tuple[float, int]:
-    """Return by how much the zero (or gain) of a column changes, and from which sample on, by least squares.
-
-    `since`: the sample where it is known; None: the one that explains most of the residual.
-    """
-    best: tuple[float, float, int] = (-1.0, np.nan, 0)
+def _change(at: Tried, column: str, runs: Sequence[int], since: int, *, gain: bool) -> float:
+    """Return by how much the zero (or gain) of a column changes from a sample on, by least squares."""
     num, den = 0.0, 0.0
     for rest, e, block in _whitened(at, runs):
         x = block.data[column]
-        slope = _slope(rest, block, column) * (x if gain else 1.0)
-        if not within or since is not None:
-            part = slope * (np.arange(len(x)) >= (since or 0))
-            part = part - part.mean(axis=1, keepdims=True)
-            num, den = num + float((part * e).sum()), den + float((part * part).sum())
-            continue
+        part = _slope(rest, block, column) * (x if gain else 1.0) * (np.arange(len(x)) >= since)
+        part = part - part.mean(axis=1, keepdims=True)
+        num, den = num + float((part * e).sum()), den + float((part * part).sum())
+    return num / den if den > 0 else np.nan
+
+
+def _place(at: Tried, column: str, runs: Sequence[int], *, gain: bool) -> int:
+    """Return the sample of a run from which on a step of a column explains most of the residual; 0: none."""
+    best, place = -1.0, 0
+    for rest, e, block in _whitened(at, runs):
+        x = block.data[column]
         if len(x) <= 2 * STILL:
             continue
+        slope = _slope(rest, block, column) * (x if gain else 1.0)
         tail = slope[:, ::-1].cumsum(axis=1)[:, ::-1]
         explained = (slope * e)[:, ::-1].cumsum(axis=1)[:, ::-1].sum(axis=0)
         energy = (slope**2)[:, ::-1].cumsum(axis=1)[:, ::-1].sum(axis=0)
         energy = np.maximum(energy - (tail**2 / len(x)).sum(axis=0), 1e-12 * energy + 1e-300)  # of rounding
         power = explained**2 / energy
         k = int(np.argmax(power[STILL:-STILL])) + STILL
-        if power[k] > best[0]:
-            best = (float(power[k]), float(explained[k] / energy[k]), k)
-    if within and since is None:  # at the first sample that is looked at it is of the whole run, as play is
-        return (best[1] if best[2] > STILL else np.nan), best[2]
-    return (num / den if den > 0 else np.nan), since or 0
+        if power[k] > best:
+            best, place = float(power[k]), k
+    return place
