@@ -706,7 +706,7 @@ KEEPS = 0.6
 CHANCE = 2.0
 """Standard deviations of the mean square of noise: corrections that keep other samples differ by chance."""
 DIFFERENT = 3
-"""Mistakes of runs that are named in one log, and columns whose scale is looked at closely, at most."""
+"""Mistakes of runs that are named in one log, at most."""
 
 
 Key = tuple[str, tuple[str, ...]]
@@ -958,7 +958,17 @@ def _best(
         more = _closer(trials.model, shares)
     for c in sorted((c for c in shares if shares[c] < 1), key=shares.__getitem__)[:CLOSEST]:
         judge(c)
-    _refined(trials.model, shares, seen, screened, deviance, judge)
+    named = min(filter(_good, seen), key=lambda one: one.after, default=None)
+    if not named or named.correction.kind == "scale" or named.left >= EXCESS:
+        scaled = (c for c in shares if c.kind == "scale")
+        about = min(scaled, key=shares.__getitem__, default=None)
+        if named and named.correction.kind == "scale":
+            about = named.correction
+        if about and not {*trials.model.period} & {*about.columns}:
+            c = _least(about, deviance)
+            # else near enough to 1 for a wavelength or a scale of the machine
+            if abs(np.log(abs(c.numbers[0]))) > np.log(ALTERED):
+                judge(c)
     if not any(map(_good, seen)):
         return None
     equal, first, close = chosen()
@@ -1044,57 +1054,25 @@ PART = 0.7
 
 ALTERED = 2.0
 """Factor below which a scale that is none of a unit may be the machine's own: a reference's, a wavelength."""
-REACH, CLOSE = 1.6, 0.2
-"""Logarithm of the factors that are tried about the best scale, either way, before and after it is found."""
+REACH = 1.6
+"""Logarithm of the factors that are tried about the best scale, either way."""
 KNOWN = 0.01
 """Part of a factor within which it must be known to be stated."""
 
 
-def _refined(
-    model: Model,
-    shares: Mapping[Correction, float],
-    seen: list[Judged],
-    screened: Callable[[Correction], float],
-    deviance: Callable[[Correction], float],
-    judge: Callable[[Correction], None],
-) -> None:
-    """Try other factors about the best scale: where one is clearly better, no unit explains it.
-
-    `shares`: what was screened, and the share that it leaves of what was left.
-    """
-    named = min(filter(_good, seen), key=lambda one: one.after, default=None)
-    if named and (named.correction.kind == "scale" or named.left < EXCESS):
-        best = [named.correction] if named.correction.kind == "scale" else []
-    else:
-        scaled = sorted((c for c in shares if c.kind == "scale"), key=shares.__getitem__, reverse=True)
-        best = sorted({c.columns: c for c in scaled}.values(), key=shares.__getitem__)[:DIFFERENT]
-    for about in best:
-        if any(c in model.period for c in about.columns):
-            continue
-        count = len(seen)
-        closer = _least(about, lambda c: float(np.log(max(screened(c), 1e-300))), REACH, 1e-3)
-        # near enough to 1 for a wavelength or a scale of the machine
-        if abs(np.log(abs(closer.numbers[0]))) < np.log(ALTERED):
-            continue
-        if screened(closer) < 1 - EXPLAINS:
-            judge(_least(closer, deviance, CLOSE, 1e-5))
-            if any(map(_good, seen[count:])):
-                return
-
-
-def _least(about: Correction, cost: Callable[[Correction], float], reach: float, near: float) -> Correction:
-    """Return the factor that costs least within `reach` of one, to `near`; both logarithms."""
+def _least(about: Correction, deviance: Callable[[Correction], float]) -> Correction:
+    """Return the factor within `REACH` of one that has the least deviance."""
 
     def times(by: float) -> Correction:
         return replace(about, numbers=(about.numbers[0] * float(np.exp(by)),), unit="")
 
     def finite(by: float) -> float:
-        value = cost(times(by))
+        value = deviance(times(by))
         return value if np.isfinite(value) else 1e9
 
-    options = {"maxiter": 20, "xatol": near}
+    options = {"maxiter": 20, "xatol": 1e-5}
     search = scipy.optimize.minimize_scalar
-    return times(float(search(finite, bounds=(-reach, reach), method="bounded", options=options).x))
+    return times(float(search(finite, bounds=(-REACH, REACH), method="bounded", options=options).x))
 
 
 def _in_runs(trials: Trials, base: Tried, odd: Sequence[int]) -> list[Found]:
@@ -1293,15 +1271,10 @@ def _rails(trials: Trials, runs: Sequence[int]) -> Iterator[Correction]:
     """Yield columns that stop at a value in some runs: its ends hold more samples than the values beside."""
     some = np.isin(trials.run, list(runs))
     found: dict[str, tuple[float, float]] = {}
-    for c in trials.columns:
-        if not is_moving(c):
-            continue
+    for c in filter(is_moving, trials.columns):
         x = trials.full[c][some]
-        low, high = float(x.min()), float(x.max())
         strokes = [float(np.ptp(trials.full[c][at])) for run, at in trials.spans if run in runs]
-        if np.median(strokes) < STROKE * (high - low):  # set from run to run, not moved
-            continue
-        if not high > low:
+        if not np.median(strokes) > STROKE * float(np.ptp(x)):  # at rest, or set from run to run
             continue
         ends = (_stop(x), -_stop(-x))
         for pair in {(ends[0], np.inf), (-np.inf, ends[1]), ends}:

@@ -123,19 +123,6 @@ class Mistake:
     sources: Callable[[Correction], Sources] = lambda c: {}
 
 
-def _opposite(c: Correction) -> Sources:
-    return {name: (name, -1.0) for name in c.columns}
-
-
-def _rescaled(c: Correction) -> Sources:
-    return {name: (name, c.numbers[0]) for name in c.columns}
-
-
-def _swapped(c: Correction) -> Sources:
-    a, b = c.columns
-    return {a: (b, 1.0), b: (a, 1.0)}
-
-
 def _from_sources(c: Correction, data: Data) -> None:
     data |= {name: factor * data[source] for name, (source, factor) in c.mistake.sources(c).items()}
 
@@ -226,21 +213,14 @@ def _left_out(c: Correction, data: Data) -> np.ndarray:
     return np.zeros(len(next(iter(data.values()))), dtype=bool)
 
 
-def _scaled_noise(c: Correction, noise: Noise) -> Noise:
+def _noise_of_sources(c: Correction, noise: Noise) -> Noise:
     """An estimated noise is that of the numbers; a stated one is meant in SI."""
-    factor = abs(c.numbers[0])
-    scaled = {
-        n: replace(s, value=factor * s.value)
-        for n, s in noise.sigmas.items()
-        if n in c.columns and s.source != "given"
+    moved = {
+        n: s if s.source == "given" else replace(s, value=abs(factor) * s.value)
+        for n, (source, factor) in c.mistake.sources(c).items()
+        if (s := noise.sigmas.get(source)) is not None
     }
-    return Noise({**noise.sigmas, **scaled})
-
-
-def _swapped_noise(c: Correction, noise: Noise) -> Noise:
-    a, b = c.columns
-    swapped = {x: noise.sigmas[y] for x, y in ((a, b), (b, a)) if y in noise.sigmas}
-    return Noise({**{k: v for k, v in noise.sigmas.items() if k not in c.columns}, **swapped})
+    return Noise({**{n: s for n, s in noise.sigmas.items() if n not in c.columns}, **moved})
 
 
 def _rounding_noise(c: Correction, noise: Noise) -> Noise:
@@ -266,14 +246,19 @@ def _sharpened_noise(c: Correction, noise: Noise) -> Noise:
 MISTAKES = {
     m.name: m
     for m in (
-        Mistake("sign", "the sign of {columns} is inverted", _from_sources, sources=_opposite),
         Mistake(
-            "scale", "the numbers of {columns} are {scale}", _from_sources, ("UNIT or FACTOR",),
-            noise=_scaled_noise, factor=lambda c: c.numbers[0], sources=_rescaled,
+            "sign", "the sign of {columns} is inverted", _from_sources,
+            sources=lambda c: {name: (name, -1.0) for name in c.columns},
         ),
         Mistake(
-            "exchange", "columns {columns} are exchanged", _from_sources, pair=True, noise=_swapped_noise,
-            sources=_swapped,
+            "scale", "the numbers of {columns} are {scale}", _from_sources, ("UNIT or FACTOR",),
+            noise=_noise_of_sources, factor=lambda c: c.numbers[0],
+            sources=lambda c: {name: (name, c.numbers[0]) for name in c.columns},
+        ),
+        Mistake(
+            "exchange", "columns {columns} are exchanged", _from_sources, pair=True,
+            noise=_noise_of_sources,
+            sources=lambda c: {a: (b, 1.0) for a, b in (c.columns, c.columns[::-1])},
         ),
         Mistake("delay", "the values of {columns} come {delay}", _earlier, ("SAMPLES",), cuts=True),
         Mistake(

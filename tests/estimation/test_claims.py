@@ -347,6 +347,17 @@ def test_an_ellipse_longer_than_any_encoder_makes_is_claimed_with_its_scale(by, 
         assert fit(log, "rotary", solver="direct", corrections=[claim.correction]).claims == ()
 
 
+def test_an_angle_in_volts_is_named_with_its_scale():
+    rng, t = np.random.default_rng(0), np.arange(600) * 2e-3
+    turn = 8.0 * t
+    volts = 0.5 + 4.0 * (np.mod(turn + 0.01 * np.sin(turn), 2 * np.pi) / (2 * np.pi))
+    columns = {"t_s": t, "angle_rad": volts + 1e-3 * rng.standard_normal(600), "angle_ref_rad": turn}
+    (claim,) = mistakes_of(Log.from_arrays(columns), build("rotary", meta=Meta(columns=tuple(columns))))
+    kind, column, factor = claim.correction.split()
+    assert (kind, column) == ("scale", "angle_rad")
+    assert float(factor) == pytest.approx(2 * np.pi / 4.0, rel=2e-3)
+
+
 @pytest.mark.slow
 def test_a_log_that_a_model_with_computed_columns_does_not_describe_is_looked_at_too():
     rng, t = np.random.default_rng(3), np.arange(300) * 1e-3
@@ -404,16 +415,6 @@ def test_readings_of_a_tangent_are_put_right_without_another_pass(inverted):
         found = cost_of(again.summary, again.noise.std).at(p)
         assert quick.cost.at(p).value == pytest.approx(found.value, rel=1e-9)
         assert np.allclose(quick.within, again.within, rtol=1e-9)
-
-
-def test_where_agreeing_runs_leave_a_tenth_of_the_excess_no_mistake_of_the_others_is_tried(six, monkeypatch):
-    """Whatever is undone in those others, the excess of these stays."""
-    log = log_of(six | {"x_ref_m": six["x_ref_m"] + 1e-3 * np.cos(50 * six["t_s"])})
-    trials = claims.Trials(log, build("stage31"), noise_of(log, build("stage31")))
-    base = trials.fitted()
-    monkeypatch.setattr(claims, "_divisions", lambda *_: {(0,): base})
-    monkeypatch.setattr(claims, "_in_runs", lambda *_: pytest.fail("a search that cannot succeed"))
-    assert claims._of_some_runs(trials, base) == []
 
 
 @pytest.mark.slow

@@ -81,18 +81,23 @@ def test_numbered_sums_are_as_many_columns_of_an_array() -> None:
     assert [found(made)[f"col_{k}"] for k in range(5)] == [(f"H{k + 1:02d}", "mv", 1) for k in range(5)]
 
 
-def test_an_angle_in_counts() -> None:
+@pytest.mark.parametrize(
+    ("name", "zero", "span", "unit", "entry"),
+    [
+        ("Angle [counts]", 0.0, 4096, "count", 'angle_count = { name = "Angle", counts_per_turn = 4096 }'),
+        ("Angle [V]", 0.5, 4.0, "rad", 'angle_rad = { name = "Angle", scale = 1.571'),
+    ],
+)
+def test_an_angle_in_counts_or_in_volts(name, zero, span, unit, entry) -> None:
     t = np.arange(4000) * 1e-3
     angle = 2 * np.pi * 0.5 * t
-    raw = np.floor((angle / (2 * np.pi) % 1) * 4096)
-    made = suggest(
-        open_source({"time [s]": t, "Angle [counts]": raw, "Angle ref [deg]": np.degrees(angle)})[2]
-    )
+    raw = zero + span * (angle / (2 * np.pi) % 1)
+    raw = np.floor(raw) if unit == "count" else raw
+    made = suggest(open_source({"time [s]": t, name: raw, "Angle ref [deg]": np.degrees(angle)})[2])
     assert made.model.name.startswith("rotary")
-    assert found(made)["angle"] == ("Angle", "count", 1)
+    assert found(made)["angle"] == ("Angle", unit, 1)
     assert found(made)["angle_ref"] == ("Angle ref", "deg", 1)
-    (angle_guess,) = [g for g in made.guesses if g.stem == "angle"]
-    assert angle_guess.counts_per_turn == 4096
+    assert entry in made.to_toml("log")
 
 
 def test_the_column_file_that_is_written_is_read(columns: dict[str, np.ndarray], tmp_path: Path) -> None:

@@ -47,6 +47,8 @@ def test_rates_of_mistakes() -> None:
         ("sign of a reference, few", "chip", "2940.0"),  # a phase has no more variance than its turn
         ("another device, few", "halbach", "2940.0"),  # gains of its own, which the model has not
         ("another device, few", "stage31", "2966.0"),  # a parameter is at its bound
+        ("another device, few", "stage30", "2966.0"),  # its noise is correlated, more than an estimate shows
+        ("zero of a reference moved, run", "stage30", "2967.0"),  # no state is as noisy as that reference
         ("another device, few", "stage31", "2964.0"),  # a gain leaves a run at 100 times the noise
         ("reading gain +20%, tail", "stage31", "2940.0"),  # one gain of several runs, not several mistakes
         ("reading clipped in 5%, run", "stage30", "2940.0"),  # what it leaves is noise up to chance
