@@ -233,15 +233,6 @@ def test_a_run_that_no_other_moves_like_is_not_thrown_away_with_its_like():
     assert claim.runs == (4,)
 
 
-@pytest.mark.slow
-def test_a_unit_is_named_where_positions_of_probes_make_up_for_others():
-    """Positions of probes are lever arms of rz: as free as they are, several scales leave noise."""
-    columns = record(seed=2, samples=30)
-    log = with_noise(columns | {"rz_ref_rad": 1e3 * columns["rz_ref_rad"]})
-    (claim,) = mistakes_of(log, build("stage31"))
-    assert claim.correction == "scale rz_ref_rad mrad"
-
-
 def test_a_number_between_decades_is_found_and_no_remedy_where_gains_make_up_for_it(six):
     log = log_of(six | {"y_ref_m": six["y_ref_m"] / 3.7e-5})
     (claim,) = mistakes_of(log, build("stage31"))
