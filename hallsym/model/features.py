@@ -8,6 +8,7 @@ an effect that adds a term needs to declare none.
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import product
 from math import comb, factorial, prod
 
 import casadi as ca
@@ -283,16 +284,18 @@ def find_features(model: Model) -> Features:
 def _of_low_degree(model: Model, variables: ca.SX) -> bool:
     """Return whether the reading may be a polynomial: cheap, since no derivative is taken.
 
-    Along a line of one variable the difference of order MAX_DEGREE + 1 of a polynomial vanishes.
+    Along a line of one variable the difference of order MAX_DEGREE + 1 of a polynomial vanishes. Lines of
+    unit size, and of the size of a pose: a field that has faded at a metre is no polynomial near its magnets.
     """
     s, rng, order = model.symbols, np.random.default_rng(0), MAX_DEGREE + 1
     read = ca.Function("along", [s.parameters, s.offsets, variables], [s.reading])
     weights = np.array([(-1.0) ** k * comb(order, k) for k in range(order + 1)])
     p = model.nominal + 0.1 * rng.standard_normal(len(model.nominal))
-    offsets, at = (rng.standard_normal(n) for n in (len(model.offsets), variables.numel()))
-    for v in range(variables.numel()):
+    offsets, far = (rng.standard_normal(n) for n in (len(model.offsets), variables.numel()))
+    near = np.concatenate([model.poses(1, rng)[:, 0], far[len(model.pose) :]])
+    for at, v in product((far, near), range(len(far))):
         line = np.repeat(at[:, None], order + 1, axis=1)
-        line[v] += np.linspace(-1.0, 1.0, order + 1)
+        line[v] += (np.abs(near[v]) if at is near else 1.0) * np.linspace(-1.0, 1.0, order + 1)
         terms = np.asarray(read(p, offsets, line)) * weights
         # an exponential that leaves the range of numbers is no polynomial
         if not np.isfinite(terms).all() or not np.all(

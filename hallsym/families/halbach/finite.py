@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.families.halbach.layout import Array, Layout, Sensor, arrays, opposite, sensors
+from hallsym.model import on_arrays
 
 FITTED = (1, 5)
 """Harmonics whose amplitudes are parameters: what magnets are not ideal by shows in the fifth first."""
@@ -65,30 +66,61 @@ def finite(array: Array, u: ca.SX, gap: ca.SX) -> tuple[ca.SX, ca.SX]:
     """
     size = float(np.exp(array.wavenumber * array.level_m) / filled(array, 1) / (2 * pi))
     borders, numbers = magnets_of(replace(array, middle_magnet=0))
-    parts = single_magnets(array, u, gap, borders, numbers)
-    return size * sum((s for s, _ in parts), ca.SX(0)), size * sum((q for _, q in parts), ca.SX(0))
+    parts = single_magnets(replace(array, width_m=np.inf), u, 0.0, gap, borders, numbers)
+    return size * sum((own[0] for own, _ in parts), ca.SX(0)), -size * sum(
+        (turned[0] for _, turned in parts), ca.SX(0)
+    )
+
+
+Pair = tuple[ca.SX, ca.SX]
+"""A field away from the face of an array and along its period."""
 
 
 def single_magnets(
-    array: Array, u: ca.SX, gap: ca.SX, borders: Iterable[float], numbers: Iterable[int]
-) -> list[tuple[ca.SX, ca.SX]]:
-    """Return the vertical field of each of m magnets, and of the same turned by a quarter, times 2 pi.
+    array: Array,
+    u: ca.SX,
+    across: ca.SX | float,
+    gap: ca.SX,
+    borders: Iterable[float],
+    numbers: Iterable[int],
+) -> list[tuple[Pair, Pair]]:
+    """Return the field of each of m magnets, and of the same turned by a quarter, times 2 pi.
 
-    In units of the remanence. `borders`: (m + 1,) from the middle [m]; `numbers`: (m,), 0 points to sensors.
+    In units of the remanence, at u along and `across` from the middle of the array and a gap below its face
+    [m]. `borders`: (m + 1,) from the middle [m]; `numbers`: (m,), 0 points to sensors. Closed form of
+    cuboids magnetised in the plane of the period (Furlani, Permanent Magnet and Electromechanical Devices,
+    Academic Press 2001, section 4.2), of an infinite width that of rectangles.
     """
-    corners, out = [], []
-    for border in borders:
-        away = u - float(border)
-        low, high = (away**2 + g**2 for g in (gap, gap + array.height))
-        # the difference of two angles as one: it has no step where the border passes over the sensor
-        turn = -ca.atan2(away * array.height, away**2 + gap * (gap + array.height))
-        corners.append((ca.log(high / low) / 2, turn))
+    faces, out = [_faces(array, float(border) - u, across, gap) for border in borders], []
     for j, i in enumerate(numbers):
-        re, im = (corners[j][c] - corners[j + 1][c] for c in (0, 1))
+        logarithm, below, beside = (faces[j][c] - faces[j + 1][c] for c in range(3))
         angle = pi / 2 - 2 * pi / array.magnets_per_period * int(i)
         cos, sin = round(np.cos(angle), 15), round(np.sin(angle), 15)
-        out.append((cos * re - sin * im, sin * re + cos * im))
+        out.append(tuple(
+            (c * logarithm - s * below, s * logarithm - c * beside) for c, s in ((cos, sin), (-sin, cos))
+        ))  # fmt: skip
     return out
+
+
+def _faces(array: Array, x: ca.SX, across: ca.SX | float, gap: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Return the logarithm and both angles of a border at x from a sensor: its lower edge less the upper one.
+
+    Differences of angles are one angle: that has no step where the border passes over the sensor.
+    """
+    levels = gap, gap + array.height
+    low, high = (x**2 + z**2 for z in levels)
+    if not np.isfinite(array.width_m):
+        turn = ca.atan2(x * array.height, x**2 + levels[0] * levels[1])
+        return ca.log(high / low) / 2, turn, -turn
+    ratio, below, beside = high / low, ca.SX(0), ca.SX(0)
+    for side in (array.width_m / 2 - across, array.width_m / 2 + across):
+        far, farther = (ca.sqrt(flat + side**2) for flat in (low, high))
+        ratio *= (side + far) / (side + farther)
+        a, b = levels[1] * farther, levels[0] * far
+        below += ca.atan2(x * side * (a - b), a * b + (x * side) ** 2)
+        a, b = levels[0] * farther, levels[1] * far
+        beside += ca.atan2(x * side * (a - b), x**2 * far * farther + levels[0] * levels[1] * side**2)
+    return ca.log(ratio) / 2, below / 2, beside / 2
 
 
 def endless(array: Array, u: ca.SX, gap: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -116,24 +148,19 @@ def cuboids(
     """Return the field of the array away from its face and along its period, (n,) each, at places (n,) [m].
 
     `u` along and `across` from its middle, `gap` below its face. In units of the first harmonic of the
-    endless array at its level. Magnets are cuboids magnetised in the plane of the period; of the charges of
-    neighbours only the differences at their borders count (Furlani, Permanent Magnet and Electromechanical
-    Devices, Academic Press 2001, section 4.2).
+    endless array at its level.
     """
-    borders, numbers = magnets_of(array)
-    directions = pi / 2 - 2 * pi / array.magnets_per_period * numbers  # from the period's axis
-    along, up = (np.diff(np.r_[0.0, f(directions), 0.0]) for f in (np.cos, np.sin))
-    logarithm, below, beside = np.zeros((3, len(borders), len(u)))
-    x = borders[:, None] - u
-    for z, sign in ((gap, 1), (gap + array.height, -1)):
-        flat = x**2 + z**2
-        for side in (array.width_m / 2 - across, array.width_m / 2 + across):
-            far = np.sqrt(flat + side**2)
-            logarithm -= sign * np.arcsinh(side / np.sqrt(flat))
-            below += sign * np.arctan2(x * side, z * far)
-            beside += sign * np.arctan2(z * side, x * far)
-    size = np.exp(array.wavenumber * array.level_m) / filled(array, 1) / (4 * pi)
-    return -size * (along @ logarithm + up @ below), -size * (up @ logarithm + along @ beside)
+    size = np.exp(array.wavenumber * array.level_m) / filled(array, 1) / (2 * pi)
+    away, along = _whole(array)([u], [across], [gap])
+    return size * away[0], size * along[0]
+
+
+@cache
+def _whole(array: Array) -> Callable[..., list[np.ndarray]]:
+    """`(u, across, gap) -> away, along` of all magnets, times 2 pi."""
+    u, across, gap = at = [ca.SX.sym(n) for n in ("u", "across", "gap")]
+    parts = [own for own, _ in single_magnets(array, u, across, gap, *magnets_of(array))]
+    return on_arrays(ca.Function("cuboids", at, [sum(f, ca.SX(0)) for f in zip(*parts, strict=True)]))
 
 
 def harmonics(array: Array, u: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -237,12 +237,12 @@ def waves(
 
 def seen_by(s: Signals, layout: Layout, k: int) -> list[links.Seen]:
     """Return what each element of channel k sees of the array."""
-    turn = s["turn"]
+    turn, array, sensor = s["turn"], array_of(layout), sensors(layout)[k]
     moved, (dx, _, dz), slope = s["moved"][k], s["placed"][k], s["tilted"][k][0]
     away, gap = dx - s["x_m"] - moved["x_m"], s["z_m"] + moved["z_m"] - dz
     return [
-        links.Seen(array_of(layout), turn * (x + away), gap, ca.cos(slope), turn * ca.sin(slope))
-        for x, _ in sensors(layout)[k].positions
+        links.Seen(array, turn * (x + away), gap, ca.cos(slope), turn * ca.sin(slope), across)
+        for (x, _), across in zip(sensor.positions, finite.across_of(array, sensor, turn), strict=True)
     ]
 
 

@@ -56,10 +56,8 @@ def of_magnets(
 ) -> ca.SX:
     """Return the field (channels,) that magnets add by their shares of the remanence and their turns [rad].
 
-    Both by array and number. Complex field of a magnetised rectangle in two dimensions:
-    Bu - i Bw = -i m / (2 pi) (ln corners), m its remanence; a turn multiplies m by i. Fields in V by the
-    first harmonic of the whole array, whose remanence is its amplitude over sin(pi/n) / (pi/n)
-    (1 - exp(-k t)), n magnets of height t per period.
+    Both by array and number. Fields of cuboids, in V by the first harmonic of the whole array, whose
+    remanence is its amplitude over sin(pi/n) / (pi/n) (1 - exp(-k t)), n magnets of height t per period.
     """
     which = {name: [i for array, i in {**shares, **turns} if array == name] for name in arrays(model.layout)}
     none = ca.SX(0)
@@ -70,7 +68,8 @@ def of_magnets(
             return none
         size = s["amplitude"] * np.exp(array.wavenumber * array.level_m) / filled(array, 1) / (2 * pi)
         made = (ca.vertcat(*(part.get((array.name, i), none) for i in of)) for part in (shares, turns))
-        return _magnets(array, tuple(of))(e.u - s["crest"], e.height, e.up, e.along, size, *made)
+        at = e.u - s["crest"], e.across, e.height, e.up, e.along
+        return size * _magnets(array, tuple(of))(*at, *made)
 
     rows = [s.functions["seen"](s, k) for k in range(len(model.channels))]
     return ca.vertcat(*(sum(map(seen_by, row), ca.SX(0)) / len(row) for row in rows))
@@ -78,73 +77,82 @@ def of_magnets(
 
 @cache
 def _magnets(array: Array, which: tuple[int, ...]) -> ca.Function:
-    """`(u, height, up, along, size, shares, turns) -> field`; made once, it is called often."""
-    u, height, up, along, size = symbols = [ca.SX.sym(n) for n in ("u", "height", "up", "along", "size")]
-    n, shares, turns = array.magnets_per_period, *(ca.SX.sym(f, len(which)) for f in ("shares", "turns"))
+    """`(u, across, height, up, along, shares, turns) -> field`; made once, it is called often."""
+    u, across, height, up, along = at = [ca.SX.sym(n) for n in ("u", "across", "height", "up", "along")]
     span = range(which[0], which[-1] + 1)
-    borders = [(i - 0.5) * array.wavelength_m / n for i in (*span, span.stop)]
-    parts = dict(zip(span, single_magnets(array, u, height, borders, span), strict=True))
-    field = ca.SX(0)
+    borders = [(i - 0.5) * array.wavelength_m / array.magnets_per_period for i in (*span, span.stop)]
+    parts = dict(zip(span, single_magnets(array, u, across, height, borders, span), strict=True))
+    made, field = [ca.SX.sym(f, len(which)) for f in ("shares", "turns")], ca.SX(0)
     for j, i in enumerate(which):
-        real, imag = parts[i]  # of m Q: Bw and Bu times 2 pi
-        field += shares[j] * (up * real + along * imag) + turns[j] * (along * real - up * imag)
-    return ca.Function("magnets", [*symbols, shares, turns], [size * field])
+        for size, (away, beside) in zip(made, parts[i], strict=True):
+            field += size[j] * (up * away + along * beside)
+    return ca.Function("magnets", [*at, *made], [field])
 
 
-ALTERNATING = (
-    Parameter(
-        "alternating_remanence", 0.0, -LIMIT, LIMIT, "1", "what even magnets have beyond the mean of all"
-    ),
-    Parameter("alternating_turn", 0.0, -LIMIT, LIMIT, "rad", "turn of even magnets beyond the mean of all"),
-)
-"""Of the magnets under the travel, shares and turns; those of odd number have as much less."""
 COMMON = (
     "no reading shows what magnets of even, or of odd, number have in common beside the array: the mean of "
     "those under the travel stays 0; one with fixed = true in the machine file sets it instead"
 )
 """Said where a fit leaves these means at 0."""
-SHARE, TURN = "share of remanence beyond the array's, of magnet", "turn of the direction of magnet"
+ARRAYS = (
+    "no reading shows what the magnets of all arrays, or the turns of those along one axis, have in common "
+    "beside the amplitude and the place of the mover: their mean stays 0"
+)
+"""Said where a fit leaves the means of several arrays at 0."""
 
 
 def _of_each(model: Model, effect: str, shares: str = "", turns: str = "") -> Model:
     """Return the model whose magnets differ by parameters of these names, `{}` the magnet's; none if empty.
 
-    Where both are, what all magnets of a single array share is its amplitude and its place: values are those
-    beyond the mean of the magnets of even or of odd number under the sensors' travel, which is the array's. A
-    difference between even and odd ones is a field on the far side and a little of a third harmonic: it has
-    parameters of its own (`ALTERNATING`), since one magnet upside down makes it too.
+    Where both are, what all magnets share is the amplitude and the place of the mover: values are those
+    beyond the mean of the magnets of even or of odd number under the sensors' travel. Each of several arrays
+    has its own mean. A difference between even and odd ones is a field on the far side and a little of a
+    third harmonic: it has parameters of its own, since one magnet upside down makes it too.
     """
-    which = segments(model)
-    several = len(arrays(model.layout)) > 1
-    labels = {(array, i): f"{array}_{i}" if several else f"{i}" for array, i in which}
-    ends = next(iter(arrays(model.layout).values())).magnets_per_period // 2
-    both = bool(shares and turns) and not several
-    under = [[k for k in which[ends:-ends] if k[1] % 2 == odd] for odd in (0, 1)] if both else []
+    known, both = arrays(model.layout), bool(shares and turns)
+    of = dict.fromkeys(known, "") if len(known) == 1 else {name: f"{name}_" for name in known}
+    seen = {name: [i for array, i in segments(model) if array == name] for name in known}
+    period = {name: array.magnets_per_period for name, array in known.items()}
+    kinds = {
+        (name, odd): [i for i in own[period[name] // 2 : -(period[name] // 2)] if i % 2 == odd]
+        for name, own in seen.items()
+        for odd in (0, 1)
+    }
+    parts = [(n, what, unit) for n, what, unit in ((shares, "remanence", "1"), (turns, "turn", "rad")) if n]
+    about = {"remanence": "share of remanence beyond the array's", "turn": "turn of the direction"}
+
+    def values(p: P, name: str, what: str) -> dict[tuple[str, int], ca.SX]:
+        out = {(array, i): p[name.format(f"{of[array]}{i}")] for array, own in seen.items() for i in own}
+        for (array, odd), under in kinds.items() if both else ():
+            common = (1 - 2 * odd) * p[f"alternating_{of[array]}{what}"]
+            common += p[f"array_{of[array]}{what}"] if of[array] else 0
+            common -= sum((out[array, i] for i in under), ca.SX(0)) / max(len(under), 1)
+            out |= {(array, i): out[array, i] + common for i in seen[array] if i % 2 == odd}
+        return out
 
     def step(s: Signals, p: P) -> None:
-        parts = [
-            {key: p[name.format(n)] for key, n in labels.items()} if name else {} for name in (shares, turns)
-        ]
-        for part, q in zip(parts, ALTERNATING if both else (), strict=False):
-            means = [sum((part[k] for k in own), ca.SX(0)) / max(len(own), 1) for own in under]
-            part |= {k: v - means[k[1] % 2] + (-1) ** k[1] * p[q.name] for k, v in part.items()}
-        s["field"] = s["field"] + of_magnets(s, model, *parts)
+        made = {what: values(p, name, what) for name, what, _ in parts}
+        s["field"] = s["field"] + of_magnets(s, model, made.get("remanence", {}), made.get("turn", {}))
 
-    new = [
-        parameter
-        for name, meaning, unit in ((shares, SHARE, "1"), (turns, TURN, "rad"))
-        if name
-        for parameter in free(
-            {name.format(n): f"{meaning} {n.replace('_', ' ')}" for n in labels.values()}, LIMIT, unit
-        )
-    ]
-    wide = model.with_step("field", step, effect=effect, parameters=(*new, *(ALTERNATING if both else ())))
-    for name, own in product((shares, turns), under):
-        wide = wide.with_gauge([name.format(labels[k]) for k in own], COMMON)
-    if len(model.pose) > 2:
+    new = []
+    for name, what, unit in parts:
+        meanings = {name.format(f"{of[a]}{i}"): f"{about[what]}, of magnet {of[a].replace('_', ' ')}{i}"
+                    for a, own in seen.items() for i in own}  # fmt: skip
+        for array, label in of.items() if both else ():
+            meanings[f"alternating_{label}{what}"] = f"{about[what]}, of even magnets of {array} over all"
+            if label:
+                meanings[f"array_{label}{what}"] = f"{about[what]}, of all magnets of {array}"
+        new += free(meanings, LIMIT, unit)
+    wide = model.with_step("field", step, effect=effect, parameters=tuple(new))
+    for (name, _, _), ((array, _), own) in product(parts, kinds.items()) if both else ():
+        wide = wide.with_gauge([name.format(f"{of[array]}{i}") for i in own], COMMON)
+    if len(known) > 1:
+        for what, axes in (("remanence", (0, 1)), ("turn", (0,)), ("turn", (1,))) if both else ():
+            own = [f"array_{of[n]}{what}" for n, array in known.items() if array.axis in axes]
+            wide = wide.with_gauge(own, ARRAYS)
         return wide
-    (array,) = arrays(model.layout).values()
-    places = np.linspace(*array.under, len(which))  # a magnet is seen where it is under the sensors
+    (array,) = known.values()
+    places = np.linspace(*array.under, len(segments(model)))  # a magnet is seen where it is under the sensors
     return replace(wide, typical=(*model.typical, *((-x, array.level_m) for x in places.tolist())))
 
 
