@@ -12,7 +12,7 @@ reading of a cos + b sin of harmonic h.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import casadi as ca
 
@@ -91,6 +91,12 @@ class Seen:
     along: ca.SX
     across: ca.SX | float = 0.0
     aside: ca.SX | float = 0.0
+
+
+def middle(elements: Sequence[Seen]) -> Seen:
+    """Return what is in the middle of elements under one array."""
+    mean = {f.name: sum(getattr(e, f.name) for e in elements) / len(elements) for f in fields(Seen)[1:]}
+    return Seen(elements[0].array, **mean)
 
 
 def rotation(rx: ca.SX, ry: ca.SX, rz: ca.SX) -> ca.SX:

@@ -183,12 +183,10 @@ def taken_at(s: Signals, layout: Layout, k: int) -> ca.SX:
     """Return what ends of the arrays take at a channel, at the mean place and axis of its elements."""
     seen, sensor, turn = s.functions["seen"](s, k), sensors(layout)[k], s["turn"]
     taken = (finite.under(layout, turn) or ())[k]
-    middle = [e for e, place in zip(seen, sensor.positions, strict=True) if np.allclose(place, sensor.middle)]
-    *at, along, aside = (
-        sum((getattr(e, f) for e in middle or seen), ca.SX(0)) / len(middle or seen)
-        for f in ("u", "across", "height", "along", "aside")
-    )
-    return taken.up(at) + along * taken.along(at) + aside * taken.across(at)
+    there = [e for e, place in zip(seen, sensor.positions, strict=True) if np.allclose(place, sensor.middle)]
+    e = links.middle(there or seen)
+    at = e.u, e.across, e.height
+    return taken.up(at) + e.along * taken.along(at) + e.aside * taken.across(at)
 
 
 def harmonic(s: Signals, k: int, h: int, a: ca.SX, b: ca.SX) -> ca.SX:

@@ -15,7 +15,7 @@ import numpy as np
 
 from hallsym.families.halbach.finite import filled, single_magnets
 from hallsym.families.halbach.layout import Array, arrays, sensors
-from hallsym.families.halbach.links import Seen
+from hallsym.families.halbach.links import Seen, middle
 from hallsym.families.mechanisms import P, free
 from hallsym.model import Facts, Model, Parameter, Signals, Way, effect
 from hallsym.model.arguments import Try, found, one_of
@@ -58,6 +58,7 @@ def of_magnets(
 
     Both by array and number. Fields of cuboids, in V by the first harmonic of the whole array, whose
     remanence is its amplitude over sin(pi/n) / (pi/n) (1 - exp(-k t)), n magnets of height t per period.
+    Elements in a line across the array see what their middle does.
     """
     which = {name: [i for array, i in {**shares, **turns} if array == name] for name in arrays(model.layout)}
     none = ca.SX(0)
@@ -71,8 +72,15 @@ def of_magnets(
         at = e.u - s["crest"], e.across, e.height, e.up, e.along
         return size * _magnets(array, tuple(of))(*at, *made)
 
-    rows = [s.functions["seen"](s, k) for k in range(len(model.channels))]
-    return ca.vertcat(*(sum(map(seen_by, row), ca.SX(0)) / len(row) for row in rows))
+    rows = []
+    for k, sensor in enumerate(sensors(model.layout)):
+        elements = s.functions["seen"](s, k)
+        groups: dict[float, list[Seen]] = {}
+        for element, place in zip(elements, sensor.positions, strict=True):
+            groups.setdefault(place[element.array.axis], []).append(element)
+        total = sum((len(own) * seen_by(middle(own)) for own in groups.values()), ca.SX(0))
+        rows.append(total / len(elements))
+    return ca.vertcat(*rows)
 
 
 @cache
@@ -121,11 +129,18 @@ def _of_each(model: Model, effect: str, shares: str = "", turns: str = "") -> Mo
     parts = [(n, what, unit) for n, what, unit in ((shares, "remanence", "1"), (turns, "turn", "rad")) if n]
     about = {"remanence": "share of remanence beyond the array's", "turn": "turn of the direction"}
 
+    def peers_of(what: str) -> list[list[str]]:
+        """Return the arrays whose mean remanence, or turn, is not seen beside the amplitude, or the place."""
+        axes = ((0, 1),) if what == "remanence" else ((0,), (1,))
+        return [[n for n, a in known.items() if a.axis in own] for own in axes if len(known) > 1]
+
     def values(p: P, name: str, what: str) -> dict[tuple[str, int], ca.SX]:
         out = {(array, i): p[name.format(f"{of[array]}{i}")] for array, own in seen.items() for i in own}
         for (array, odd), under in kinds.items() if both else ():
             common = (1 - 2 * odd) * p[f"alternating_{of[array]}{what}"]
-            common += p[f"array_{of[array]}{what}"] if of[array] else 0
+            for peers in (own for own in peers_of(what) if array in own):
+                each = [p[f"array_{of[a]}{what}"] for a in peers]
+                common += each[peers.index(array)] - sum(each, ca.SX(0)) / len(each)
             common -= sum((out[array, i] for i in under), ca.SX(0)) / max(len(under), 1)
             out |= {(array, i): out[array, i] + common for i in seen[array] if i % 2 == odd}
         return out
@@ -146,10 +161,10 @@ def _of_each(model: Model, effect: str, shares: str = "", turns: str = "") -> Mo
     wide = model.with_step("field", step, effect=effect, parameters=tuple(new))
     for (name, _, _), ((array, _), own) in product(parts, kinds.items()) if both else ():
         wide = wide.with_gauge([name.format(f"{of[array]}{i}") for i in own], COMMON)
+    for _, what, _ in parts if both else ():
+        for peers in peers_of(what):
+            wide = wide.with_gauge([f"array_{of[a]}{what}" for a in peers], ARRAYS)
     if len(known) > 1:
-        for what, axes in (("remanence", (0, 1)), ("turn", (0,)), ("turn", (1,))) if both else ():
-            own = [f"array_{of[n]}{what}" for n, array in known.items() if array.axis in axes]
-            wide = wide.with_gauge(own, ARRAYS)
         return wide
     (array,) = known.values()
     places = np.linspace(*array.under, len(segments(model)))  # a magnet is seen where it is under the sensors
