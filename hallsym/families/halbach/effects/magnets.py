@@ -8,7 +8,6 @@ from dataclasses import replace
 from functools import cache
 from itertools import product
 from math import pi
-from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
@@ -52,7 +51,7 @@ def of_magnets(
     s: Signals,
     model: Model,
     shares: Mapping[tuple[str, int], ca.SX],
-    turns: Mapping[tuple[str, int], ca.SX] = MappingProxyType({}),
+    turns: Mapping[tuple[str, int], ca.SX],
 ) -> ca.SX:
     """Return the field (channels,) that magnets add by their shares of the remanence and their turns [rad].
 
@@ -218,7 +217,7 @@ def lost_magnet(
     key, name = (next(iter(arrays(model.layout))), magnet), f"lost_{magnet}"
 
     def step(s: Signals, p: P) -> None:
-        s["field"] = s["field"] - of_magnets(s, model, {key: p[name]})
+        s["field"] = s["field"] - of_magnets(s, model, {key: p[name]}, {})
 
     new = free({name: f"share of its remanence that magnet {magnet} lacks"}, LIMIT, "1")
     return model.with_step("field", step, effect="lost_magnet", parameters=new)

@@ -1,13 +1,10 @@
 """Ends of the four Halbach arrays of a mover: the field of each fades near them."""
 
-from functools import cache
-
 import casadi as ca
 
 from hallsym.families.halbach.effects.ends import MOST, stronger
 from hallsym.families.halbach.effects.magnets import HALF_TURN, LONGER
 from hallsym.families.halbach.finite import missing
-from hallsym.families.halbach.layout import Array
 from hallsym.families.halbach.links import Seen
 from hallsym.families.halbach.planar import ended
 from hallsym.families.mechanisms import P
@@ -37,13 +34,6 @@ def array_edges(model: Model) -> Model:
 
 
 def _taken(e: Seen) -> ca.SX:
-    """What the ends take from the field along the axis of an element, of an array of amplitude 1."""
-    return _function(e.array)(e.u, e.height, e.up, e.along)
-
-
-@cache
-def _function(array: Array) -> ca.Function:
-    """`(u, height, up, along) -> reading`; a quarter turn of the magnets takes the vertical field along."""
-    u, height, up, along = symbols = [ca.SX.sym(n) for n in ("u", "height", "up", "along")]
-    vertical, horizontal = missing(array)(u, height)
-    return ca.Function("ends", symbols, [up * vertical + along * horizontal])
+    """What the ends take along the axis of an element, of an amplitude of 1: a turned magnet's along it."""
+    vertical, horizontal = missing(e.array)(e.u, e.height)
+    return e.up * vertical + e.along * horizontal
