@@ -58,24 +58,6 @@ def filled(array: Array, h: int) -> float:
     return float(np.sin(share) / share * (1 - np.exp(-h * array.wavenumber * array.height)))
 
 
-def finite(array: Array, u: ca.SX, gap: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return the vertical field at u [m] from the middle of the array, of its magnets and of turned ones.
-
-    In units of the first harmonic of the endless array at its level: deep under a long array they are
-    cos k u and -sin k u times exp(-k (gap - level)), with small fifth and ninth harmonics.
-    """
-    size = float(np.exp(array.wavenumber * array.level_m) / filled(array, 1) / (2 * pi))
-    borders, numbers = magnets_of(replace(array, middle_magnet=0))
-    parts = single_magnets(replace(array, width_m=np.inf), u, 0.0, gap, borders, numbers)
-    return size * sum((own[0] for own, _ in parts), ca.SX(0)), -size * sum(
-        (turned[0] for _, turned in parts), ca.SX(0)
-    )
-
-
-Pair = tuple[ca.SX, ca.SX]
-"""A field away from the face of an array and along its period."""
-
-
 def single_magnets(
     array: Array,
     u: ca.SX,
@@ -83,22 +65,21 @@ def single_magnets(
     gap: ca.SX,
     borders: Iterable[float],
     numbers: Iterable[int],
-) -> list[tuple[Pair, Pair]]:
+) -> list[list[tuple[ca.SX, ca.SX]]]:
     """Return the field of each of m magnets, and of the same turned by a quarter, times 2 pi.
 
-    In units of the remanence, at u along and `across` from the middle of the array and a gap below its face
-    [m]. `borders`: (m + 1,) from the middle [m]; `numbers`: (m,), 0 points to sensors. Closed form of
-    cuboids magnetised in the plane of the period (Furlani, Permanent Magnet and Electromechanical Devices,
-    Academic Press 2001, section 4.2), of an infinite width that of rectangles.
+    Away from the face and along the period, in units of the remanence, at u along and `across` from the
+    middle of the array and a gap below its face [m]. `borders`: (m + 1,) from the middle [m]; `numbers`:
+    (m,), 0 points to sensors. Closed form of cuboids magnetised in their plane (Furlani, Permanent
+    Magnet and Electromechanical Devices, Academic Press 2001, section 4.2), of an infinite width rectangles.
     """
     faces, out = [_faces(array, float(border) - u, across, gap) for border in borders], []
     for j, i in enumerate(numbers):
         logarithm, below, beside = (faces[j][c] - faces[j + 1][c] for c in range(3))
         angle = pi / 2 - 2 * pi / array.magnets_per_period * int(i)
         cos, sin = round(np.cos(angle), 15), round(np.sin(angle), 15)
-        out.append(tuple(
-            (c * logarithm - s * below, s * logarithm - c * beside) for c, s in ((cos, sin), (-sin, cos))
-        ))  # fmt: skip
+        axes = (cos, sin), (-sin, cos)
+        out.append([(c * logarithm - s * below, s * logarithm - c * beside) for c, s in axes])
     return out
 
 
@@ -123,20 +104,21 @@ def _faces(array: Array, x: ca.SX, across: ca.SX | float, gap: ca.SX) -> tuple[c
     return ca.log(ratio) / 2, below / 2, beside / 2
 
 
-def endless(array: Array, u: ca.SX, gap: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return the same as `finite` of the endless array: its harmonics."""
-    q = array.wavenumber
-    terms = [(strength(array, h) * ca.exp(-h * q * (gap - array.level_m)), h * q * u) for h in orders(array)]
-    cos, sin = (sum((a * f(t) for a, t in terms), ca.SX(0)) for f in (ca.cos, ca.sin))
-    return cos, -sin
-
-
 @cache
 def missing(array: Array) -> ca.Function:
-    """Return `(u, gap) -> straight, quarter`, what ends take from the endless array: zero far from them."""
-    u, gap = ca.SX.sym("u"), ca.SX.sym("gap")
-    own, all_ = finite(array, u, gap), endless(array, u, gap)
-    return ca.Function("missing", [u, gap], [own[0] - all_[0], own[1] - all_[1]])
+    """Return `(u, gap) -> straight, quarter`, what ends take from the vertical field of the endless array.
+
+    Of its magnets and of the same turned by a quarter, in two dimensions, in units of its first harmonic at
+    its level: zero far from ends.
+    """
+    u, gap, q = ca.SX.sym("u"), ca.SX.sym("gap"), array.wavenumber
+    flat = replace(array, middle_magnet=0, width_m=np.inf)
+    parts = single_magnets(flat, u, 0.0, gap, *magnets_of(flat))
+    straight, quarter = (sum((own[n][0] for own in parts), ca.SX(0)) for n in (0, 1))
+    size = float(np.exp(q * array.level_m) / filled(array, 1) / (2 * pi))
+    terms = [(strength(array, h) * ca.exp(-h * q * (gap - array.level_m)), h * q * u) for h in orders(array)]
+    cos, sin = (sum((a * f(t) for a, t in terms), ca.SX(0)) for f in (ca.cos, ca.sin))
+    return ca.Function("missing", [u, gap], [size * straight - cos, sin - size * quarter])
 
 
 # -- cuboids: finite length and width --------------------------------------------------------------------

@@ -194,10 +194,7 @@ def part_of(entry: Mapping[str, Any], wavelength_m: float | None = None) -> Sens
                 f"instead received {dict(entry)!r}."
             )
         return Sensor(str(entry["channel"]), points, str(entry.get("array", "")))
-    known = {"name", "periodic_along", "centre_m", "length_m", "width_m", "wavelength_m", "thickness_m",
-             "magnets_per_period", "level_m", "ends", "middle_magnet", "known_m",
-             "middle_m", "rival"}  # fmt: skip
-    wrong = [key for key in entry if key not in known]
+    wrong = [key for key in entry if key not in Array("", 1.0).entry]
     along = entry.get("periodic_along", "x")
     if wrong or along not in ("x", "y"):
         said = f"it has '{wrong[0]}'" if wrong else f"periodic_along is {along!r}"

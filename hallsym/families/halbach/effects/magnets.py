@@ -28,13 +28,13 @@ LIMIT = 5.0
 """Bounds of what a magnet is off: wide, since the outermost ones are hardly seen."""
 
 
-def segments(model: Model) -> list[tuple[str, int]]:
-    """Return array and number of the magnets that sensors see, counted from the array's crest.
+def segments(model: Model) -> dict[str, range]:
+    """Return of each array the numbers of the magnets that sensors see, counted from the array's crest.
 
     Those within half a wavelength beyond the outermost sensors at the ends of the travel: the field of
     a magnet farther off has faded to what the others can make.
     """
-    out = []
+    out = {}
     for name, array in arrays(model.layout).items():
         pitch, i = array.wavelength_m / array.magnets_per_period, array.axis
         own = [s.middle[i] - array.centre[i] for s in sensors(model.layout) if s.array in ("", name)]
@@ -43,7 +43,7 @@ def segments(model: Model) -> list[tuple[str, int]]:
             low, high = min(own) + near - array.wavelength_m / 2, max(own) + far + array.wavelength_m / 2
             most = array.length_m / 2
             first, last = (int(np.trunc(np.clip(end, -most, most) / pitch)) for end in (low, high))
-            out += [(name, number) for number in range(first, last + 1)]
+            out[name] = range(first, last + 1)
     return out
 
 
@@ -59,11 +59,10 @@ def of_magnets(
     remanence is its amplitude over sin(pi/n) / (pi/n) (1 - exp(-k t)), n magnets of height t per period.
     Elements in a line across the array see what their middle does.
     """
-    which = {name: [i for array, i in {**shares, **turns} if array == name] for name in arrays(model.layout)}
     none = ca.SX(0)
 
     def seen_by(e: Seen) -> ca.SX:
-        array, of = e.array, sorted(set(which[e.array.name]))
+        array, of = e.array, sorted({i for name, i in {**shares, **turns} if name == e.array.name})
         if not of:
             return none
         size = s["amplitude"] * np.exp(array.wavenumber * array.level_m) / filled(array, 1) / (2 * pi)
@@ -97,15 +96,11 @@ def _magnets(array: Array, which: tuple[int, ...]) -> ca.Function:
 
 
 COMMON = (
-    "no reading shows what magnets of even, or of odd, number have in common beside the array: the mean of "
-    "those under the travel stays 0; one with fixed = true in the machine file sets it instead"
+    "no reading shows what magnets of even, or of odd, number have in common beside their array, nor arrays "
+    "beside amplitude and place: the mean of those under the travel stays 0; one with fixed = true in the "
+    "machine file sets it instead"
 )
 """Said where a fit leaves these means at 0."""
-ARRAYS = (
-    "no reading shows what the magnets of all arrays, or the turns of those along one axis, have in common "
-    "beside the amplitude and the place of the mover: their mean stays 0"
-)
-"""Said where a fit leaves the means of several arrays at 0."""
 
 
 def _of_each(model: Model, effect: str, shares: str = "", turns: str = "") -> Model:
@@ -118,13 +113,11 @@ def _of_each(model: Model, effect: str, shares: str = "", turns: str = "") -> Mo
     """
     known, both = arrays(model.layout), bool(shares and turns)
     of = dict.fromkeys(known, "") if len(known) == 1 else {name: f"{name}_" for name in known}
-    seen = {name: [i for array, i in segments(model) if array == name] for name in known}
-    period = {name: array.magnets_per_period for name, array in known.items()}
-    kinds = {
-        (name, odd): [i for i in own[period[name] // 2 : -(period[name] // 2)] if i % 2 == odd]
-        for name, own in seen.items()
-        for odd in (0, 1)
-    }
+    seen = segments(model)
+    kinds: dict[tuple[str, int], list[int]] = {}
+    for name, own in seen.items():
+        ends = known[name].magnets_per_period // 2
+        kinds |= {(name, odd): [i for i in own[ends:-ends] if i % 2 == odd] for odd in (0, 1)}
     parts = [(n, what, unit) for n, what, unit in ((shares, "remanence", "1"), (turns, "turn", "rad")) if n]
     about = {"remanence": "share of remanence beyond the array's", "turn": "turn of the direction"}
 
@@ -148,7 +141,7 @@ def _of_each(model: Model, effect: str, shares: str = "", turns: str = "") -> Mo
         made = {what: values(p, name, what) for name, what, _ in parts}
         s["field"] = s["field"] + of_magnets(s, model, made.get("remanence", {}), made.get("turn", {}))
 
-    new = []
+    new: list[Parameter] = []
     for name, what, unit in parts:
         meanings = {name.format(f"{of[a]}{i}"): f"{about[what]}, of magnet {of[a].replace('_', ' ')}{i}"
                     for a, own in seen.items() for i in own}  # fmt: skip
@@ -162,11 +155,11 @@ def _of_each(model: Model, effect: str, shares: str = "", turns: str = "") -> Mo
         wide = wide.with_gauge([name.format(f"{of[array]}{i}") for i in own], COMMON)
     for _, what, _ in parts if both else ():
         for peers in peers_of(what):
-            wide = wide.with_gauge([f"array_{of[a]}{what}" for a in peers], ARRAYS)
+            wide = wide.with_gauge([f"array_{of[a]}{what}" for a in peers], COMMON)
     if len(known) > 1:
         return wide
-    (array,) = known.values()
-    places = np.linspace(*array.under, len(segments(model)))  # a magnet is seen where it is under the sensors
+    ((name, array),) = known.items()
+    places = np.linspace(*array.under, len(seen[name]))  # a magnet is seen where it is under the sensors
     return replace(wide, typical=(*model.typical, *((-x, array.level_m) for x in places.tolist())))
 
 
@@ -194,7 +187,7 @@ def magnet_map(model: Model) -> Model:
 
 def each_magnet(model: Model, facts: Facts) -> list[Try]:
     """Return the magnets that sensors see, one by one."""
-    which = [number for _, number in segments(model)]
+    which = [number for own in segments(model).values() for number in own]
     return [Try({"magnet": i}, f"magnet {i}", shapes=1, tried=len(which)) for i in which]
 
 
