@@ -100,19 +100,10 @@ def check_the_tilt(raw, corrected, x=-4.0):
     line = raw[x][0]
     each = [(line, (raw if k % 2 else corrected)[x][1]["x"]) for k in range(COUNT)]
     model, log = read([each], [5e-3])
-    fit = hallsym.fit(
-        log, model, effects=["wavelength_error", "sensor_tilt"], solver="direct", loss="none", accept=["all"]
-    )
-    assert off_by(fit, "tiltx") == pytest.approx(0.0114 * share, rel=0.05)
-    fit = hallsym.fit(
-        log,
-        model,
-        effects=["wavelength_error", "sensor_position_error"],
-        solver="direct",
-        loss="none",
-        accept=["all"],
-    )
-    assert off_by(fit, "dx") == pytest.approx(0.0114 * share * PERIOD_M / 2 / np.pi, rel=0.05)
+    for effect, name, unit in (("tilt", "tiltx", 1.0), ("position_error", "dx", PERIOD_M / 2 / np.pi)):
+        effects = ["wavelength_error", f"sensor_{effect}"]
+        fit = hallsym.fit(log, model, effects=effects, solver="direct", loss="none", accept=["all"])
+        assert off_by(fit, name) == pytest.approx(0.0114 * share * unit, rel=0.05)
 
 
 def off_the_axis(plane):
@@ -128,17 +119,17 @@ def check_the_growth(plane):
     assert fit.errors.rows()["fitted"]["rmse"]["z_m"] > 1e-3
 
 
-def test_the_period_of_a_field_is_found():
-    check_the_period(made_up("raw"))
-
-
-@pytest.mark.slow
-def test_a_tilt_between_columns_is_found():
-    check_the_tilt(made_up("raw"), made_up("corrected"))
-
-
-def test_a_field_that_grows_off_the_axis_is_no_gap():
-    check_the_growth(made_up("raw"))
+@pytest.mark.parametrize("real", [False, pytest.param(True, marks=[HERE, pytest.mark.slow])])
+@pytest.mark.parametrize(
+    ("check", "plane", "kinds"),
+    [
+        (check_the_period, "02", ("raw",)),
+        pytest.param(check_the_tilt, "04", ("raw", "corrected"), marks=pytest.mark.slow),
+        (check_the_growth, "02", ("raw",)),
+    ],
+)
+def test_a_plane(check, plane, kinds, real):
+    check(*(measured(plane, kind) if real else made_up(kind) for kind in kinds))
 
 
 @pytest.mark.slow
@@ -150,24 +141,6 @@ def test_places_on_a_grid_are_not_coarse_where_a_field_is_no_array_s():
     fit = hallsym.fit(few, model, effects=["wavelength_error"], solver="direct", loss="none")
     assert fit.goodness.sentence
     assert "coarse_steps" not in [claim.name for claim in fit.claims]
-
-
-@HERE
-@pytest.mark.slow
-def test_the_period_of_a_measured_field_is_found():
-    check_the_period(measured("02", "raw"))
-
-
-@pytest.mark.slow
-@HERE
-def test_the_cross_axis_terms_of_a_laboratory_are_found_as_tilt():
-    check_the_tilt(measured("04", "raw"), measured("04", "corrected"))
-
-
-@pytest.mark.slow
-@HERE
-def test_a_measured_field_that_grows_off_the_axis_is_no_gap():
-    check_the_growth(measured("02", "raw"))
 
 
 @HERE

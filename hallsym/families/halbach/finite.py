@@ -132,17 +132,17 @@ def cuboids(
     `u` along and `across` from its middle, `gap` below its face. In units of the first harmonic of the
     endless array at its level.
     """
-    size = np.exp(array.wavenumber * array.level_m) / filled(array, 1) / (2 * pi)
     away, along = _whole(array)([u], [across], [gap])
-    return size * away[0], size * along[0]
+    return away[0], along[0]
 
 
 @cache
 def _whole(array: Array) -> Callable[..., list[np.ndarray]]:
-    """`(u, across, gap) -> away, along` of all magnets, times 2 pi."""
+    """`(u, across, gap) -> away, along` of all magnets; made once, it is called often."""
+    size = float(np.exp(array.wavenumber * array.level_m) / filled(array, 1) / (2 * pi))
     u, across, gap = at = [ca.SX.sym(n) for n in ("u", "across", "gap")]
     parts = [own for own, _ in single_magnets(array, u, across, gap, *magnets_of(array))]
-    return on_arrays(ca.Function("cuboids", at, [sum(f, ca.SX(0)) for f in zip(*parts, strict=True)]))
+    return on_arrays(ca.Function("cuboids", at, [size * sum(f, ca.SX(0)) for f in zip(*parts, strict=True)]))
 
 
 def harmonics(array: Array, u: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -50,7 +50,7 @@ def halbach_planar(layout: Layout | None = None) -> Model:
     layout = pinwheel() if layout is None else tuple(layout)
     seen = sensors(layout)
     check(layout)
-    level = _level(layout)
+    first = next(iter(arrays(layout).values()))
     parameters = (
         Parameter("a1", 0.6, -FAR, FAR, "V", "amplitude of the first harmonic at the level of the arrays"),
         Parameter("a5", 0.0, -FAR, FAR, "V", "amplitude of the fifth harmonic at the level of the arrays"),
@@ -63,7 +63,6 @@ def halbach_planar(layout: Layout | None = None) -> Model:
             for a in "xyz"
         ),
     )
-    wave = next(iter(arrays(layout).values())).wavelength_m
     model = Model(
         name="halbach_planar",
         family=FAMILY,
@@ -79,19 +78,15 @@ def halbach_planar(layout: Layout | None = None) -> Model:
             ("electronics", links.read),
         ),
         layout=layout,
-        period=dict.fromkeys(("x_m", "y_m", "x_ref_m", "y_ref_m"), wave),
+        period=dict.fromkeys(("x_m", "y_m", "x_ref_m", "y_ref_m"), first.wavelength_m),
         absolute=("x_ref_m", "y_ref_m"),
         begin=lambda v, p: begin(v, p, layout),
         onward=onward,
         guess=guess,
         inspect=inspect,
-        typical=tuple(map(tuple, _typical(level, wave))),
+        typical=tuple(map(tuple, _typical(first.level_m, first.wavelength_m))),
     )
     return model
-
-
-def _level(layout: Layout) -> float:
-    return next(iter(arrays(layout).values())).level_m
 
 
 def _typical(level: float, wave: float) -> np.ndarray:
@@ -133,12 +128,10 @@ HALF_TURN = ca.DM([-1, -1, 1])
 @cache
 def _in_mover() -> ca.Function:
     """`(R, t, place, slopes) -> place and axis` of a sensor in mover axes; made once, it is called often."""
-    turn, at, place, slopes = (ca.SX.sym(n, *size) for n, size in _SENSOR.items())
+    turn, at, place = ca.SX.sym("turn", 3, 3), ca.SX.sym("at", 3), ca.SX.sym("place", 3)
+    slopes = ca.SX.sym("slopes", 2)
     axis = ca.vertcat(slopes, 1) / ca.sqrt(1 + ca.sumsqr(slopes))
     return ca.Function("in_mover", [turn, at, place, slopes], [turn.T @ (place - at), turn.T @ axis])
-
-
-_SENSOR = {"turn": (3, 3), "at": (3, 1), "place": (3, 1), "slopes": (2, 1)}
 
 
 def rigid(s: Signals, p: Mapping[str, ca.SX]) -> Rigid:
@@ -308,7 +301,8 @@ def begin(v: ca.SX, p: Mapping[str, ca.SX], layout: Layout) -> ca.SX:
     for patch, place, height in seen:
         i = patch.array.axis
         if i in first:
-            place = first[i] + wave * _fraction((place - first[i]) / wave)
+            turns = (place - first[i]) / wave
+            place = first[i] + wave * (turns - ca.floor(turns + 0.5))
         first.setdefault(i, place)
         rows += [place, height]
     solve = ca.DM(np.linalg.pinv(least_squares(layout)))
@@ -318,11 +312,6 @@ def begin(v: ca.SX, p: Mapping[str, ca.SX], layout: Layout) -> ca.SX:
     rotations = [pose[3] - p["rx0"], pose[4] - p["ry0"], pose[5] - p["rz0"]]
     x, y = pose[0] - p["x0"], pose[1] - p["y0"]
     return ca.vertcat(x, y, pose[2], *rotations)
-
-
-def _fraction(turns: ca.SX) -> ca.SX:
-    """Return turns less whole ones, -1/2 to 1/2."""
-    return turns - ca.floor(turns + 0.5)
 
 
 def onward(pose: np.ndarray, coordinate: str, values: Mapping[str, float]) -> np.ndarray:
@@ -460,7 +449,5 @@ def _settled(layout: Layout, meta: Meta) -> Layout:
 
 def _amplitude(array: Array, nominal: Mapping[str, float]) -> float:
     """Nominal amplitude of the first harmonic at the level [V], after (2-3)."""
-    n, k = array.magnets_per_period, array.wavenumber
-    filled = np.sin(np.pi / n) / (np.pi / n) * (1 - np.exp(-k * array.height))
-    size = nominal["gain_v_per_t"] * nominal["remanence_t"] * filled * np.exp(-k * array.level_m)
-    return float(size)
+    face = nominal["gain_v_per_t"] * nominal["remanence_t"] * finite.filled(array, 1)
+    return float(face * np.exp(-array.wavenumber * array.level_m))

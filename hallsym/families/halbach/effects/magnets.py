@@ -151,16 +151,16 @@ def _of_each(model: Model, effect: str, shares: str = "", turns: str = "") -> Mo
                 meanings[f"array_{label}{what}"] = f"{about[what]}, of all magnets of {array}"
         new += free(meanings, LIMIT, unit)
     wide = model.with_step("field", step, effect=effect, parameters=tuple(new))
-    for (name, _, _), ((array, _), own) in product(parts, kinds.items()) if both else ():
-        wide = wide.with_gauge([name.format(f"{of[array]}{i}") for i in own], COMMON)
+    for (name, _, _), ((array, _), under) in product(parts, kinds.items()) if both else ():
+        wide = wide.with_gauge([name.format(f"{of[array]}{i}") for i in under], COMMON)
     for _, what, _ in parts if both else ():
         for peers in peers_of(what):
             wide = wide.with_gauge([f"array_{of[a]}{what}" for a in peers], COMMON)
     if len(known) > 1:
         return wide
-    ((name, array),) = known.items()
-    places = np.linspace(*array.under, len(seen[name]))  # a magnet is seen where it is under the sensors
-    return replace(wide, typical=(*model.typical, *((-x, array.level_m) for x in places.tolist())))
+    ((only, one),) = known.items()
+    places = np.linspace(*one.under, len(seen[only]))  # a magnet is seen where it is under the sensors
+    return replace(wide, typical=(*model.typical, *((-x, one.level_m) for x in places.tolist())))
 
 
 @effect(link="field", label="each magnet", unless=("magnet_map",), separate=(HALF_TURN, "a longer stroke"))
@@ -231,9 +231,8 @@ def forbidden_harmonics(
     names = {f"a{order}": "cos", f"b{order}": "sin"}
 
     def step(s: Signals, p: P) -> None:
-        rows = []
-        for k in range(len(model.channels)):
-            rows.append(s.functions["harmonic"](s, k, order, p[f"a{order}"], p[f"b{order}"]))
+        read, wave = s.functions["harmonic"], (p[f"a{order}"], p[f"b{order}"])
+        rows = [read(s, k, order, *wave) for k in range(len(model.channels))]
         s["field"] = s["field"] + ca.vertcat(*rows)
 
     new = tuple(
@@ -268,10 +267,8 @@ def finite_width(model: Model) -> Model:
     """
 
     def step(s: Signals, p: P) -> None:
-        beyond = []
-        for k in range(len(model.channels)):
-            seen = s.functions["seen"](s, k)
-            beyond.append(sum((e.height - e.array.level_m for e in seen), ca.SX(0)) / len(seen))
+        each = [s.functions["seen"](s, k) for k in range(len(model.channels))]
+        beyond = [sum((e.height - e.array.level_m for e in seen), ca.SX(0)) / len(seen) for seen in each]
         s["field"] = s["field"] * ca.exp(-p["fading"] * ca.vertcat(*beyond))
 
     new = free({"fading": "rate at which the field fades beyond that of the wavelength"}, 50.0, "1/m")

@@ -23,10 +23,8 @@ def array_edges(model: Model) -> Model:
         return stronger(model)
 
     def step(s: Signals, p: P) -> None:
-        added = []
-        for k in range(len(model.channels)):
-            seen = s.functions["seen"](s, k)
-            added.append(sum((_taken(e) for e in seen), ca.SX(0)) / len(seen))
+        each = [s.functions["seen"](s, k) for k in range(len(model.channels))]
+        added = [sum(map(_taken, seen), ca.SX(0)) / len(seen) for seen in each]
         s["field"] = s["field"] + p["edges"] * p["a1"] * ca.vertcat(*added)
 
     new = Parameter("edges", 0.0, -MOST, MOST, "1", "share of what the ends of the stated arrays take")
