@@ -3,7 +3,7 @@
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
-from hallsym.errors import InputError, nearest
+from hallsym.errors import InputError, require
 from hallsym.families import halbach, rotary, stage
 from hallsym.families.faults import FAULTS
 from hallsym.files import MOST_NUMBER
@@ -54,8 +54,8 @@ def build(
     `InputError` that lists known names.
     """
     found = [(f, make) for f in (*FAMILIES, *families) if (make := f.maker(name))]
-    if not found:
-        raise _unknown("Model", name, models(families))
+    known = list(models(families))
+    require(found, "Model", f"one of {', '.join(known)}", name, known)
     family, make = found[0]
     model = family.made(family.from_meta, make, meta or Meta())
     return adapted(model, added, parameters or {}, own)
@@ -157,15 +157,8 @@ def effect_named(
                 f"Effect {name} belongs to {' and '.join(others)} models; model {model.name} is of family "
                 f"{model.family}."
             )
-        raise _unknown("Effect", name, known)
+    require(name in known, "Effect", f"one of {', '.join(known)}", name, list(known))
     return known[name]
-
-
-def _unknown(what: str, name: str, known: Mapping[str, Any]) -> InputError:
-    listed = ", ".join(known)
-    return InputError(
-        f"{what} must be one of {listed}; instead received {name!r}{nearest(name, list(known))}."
-    )
 
 
 def _checked(model: Model, changes: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, float]]:

@@ -4,9 +4,9 @@ A family states its ports (the values of its channels along the chain); a mechan
 there. New parameters are 0 where the effect is absent.
 """
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from math import pi
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -14,11 +14,12 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from hallsym.errors import InputError
+from hallsym.errors import InputError, require
 from hallsym.families.faults import inject_rails
 from hallsym.model import Effect, Facts, Model, Parameter, Signals, effect
 from hallsym.model.arguments import POSITIVE, Number, Try, beside, found, from_log, one_of, searched
 from hallsym.model.derived import Computed, Stretch, campaign_time, rate
+from hallsym.toml import number
 
 P = Mapping[str, ca.SX]
 """Parameters of a step, by name."""
@@ -27,6 +28,20 @@ P = Mapping[str, ca.SX]
 def free(meanings: Mapping[str, str], limit: float, unit: str) -> tuple[Parameter, ...]:
     """Return parameters (name -> meaning) that are 0 where the effect is absent, between -limit and limit."""
     return tuple(Parameter(name, 0.0, -limit, limit, unit, meaning) for name, meaning in meanings.items())
+
+
+def started(model: Model, nominal: Mapping[str, Any], *others: Model) -> Model:
+    """Return the model with the nominal values that a log states; a text is a fact for a reader.
+
+    Values of parameters that only the `others` of a family have are left out. Raises `InputError` for a value
+    that is no number, and for one of no parameter.
+    """
+    known = list(dict.fromkeys(name for m in (model, *others) for name in m.names))
+    stated = {k: v for k, v in nominal.items() if k in known or not isinstance(v, str)}
+    for key in stated:
+        require(key in known, "A nominal value", f"that of a parameter of {model.name}", key, known)
+    numbers = {k: number(v, k, "the nominal values") for k, v in stated.items()}
+    return model.with_parameters({k: {"nominal": v} for k, v in numbers.items() if k in model.names})
 
 
 # -- terms that each channel has a coefficient of -----------------------------------------------------------
@@ -548,23 +563,6 @@ def _slopes(motion: Travel, width: float, states: np.ndarray, z: np.ndarray) -> 
 
 
 def _states(strokes: np.ndarray, start: float) -> np.ndarray:
-    """State before each stroke.
-
-    However many strokes make clip(start + travel, low, high), low and high the states from -1 and 1: groups
-    of strokes are followed side by side from both, then each group from where the one before it ended.
-    """
-    count = len(strokes)
-    size = max(1, round(math.sqrt(count)))
-    moved = np.zeros((size, -(-count // size)))
-    moved.T.flat[:count] = strokes
-    low, high = np.empty_like(moved), np.empty_like(moved)
-    below, above = np.full(moved.shape[1], -1.0), np.full(moved.shape[1], 1.0)
-    for k, by in enumerate(moved):
-        low[k] = below = np.minimum(np.maximum(below + by, -1.0), 1.0)
-        high[k] = above = np.minimum(np.maximum(above + by, -1.0), 1.0)
-    travelled = np.cumsum(moved, axis=0)
-    first = [start]
-    for by, least, most in zip(travelled[-1].tolist(), low[-1].tolist(), high[-1].tolist(), strict=True):
-        first.append(min(max(first[-1] + by, least), most))
-    states = np.minimum(np.maximum(np.array(first[:-1]) + travelled, low), high)
-    return np.append(start, states.T.ravel()[: count - 1])
+    """State before each stroke."""
+    along = accumulate(strokes[:-1].tolist(), lambda z, by: min(max(z + by, -1.0), 1.0), initial=start)
+    return np.fromiter(along, float, len(strokes))

@@ -22,7 +22,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hallsym.errors import InputError, nearest
+from hallsym.errors import InputError
+from hallsym.families.mechanisms import started
 from hallsym.families.rotary.checks import inspect
 from hallsym.families.rotary.waves import Wave, angle, cosine, sine
 from hallsym.log import Meta
@@ -364,21 +365,11 @@ def from_meta(make: Callable[..., Model], meta: Meta) -> Model:
     Two voltages are taken where the log has them, the angle otherwise. `amplitude_v` of the nominal values is
     the start of every amplitude; texts among them (magnet, sensor) are facts for a reader.
     """
-    model = make(_outputs(meta))
-    changes: dict[str, dict[str, float]] = {}
-    for key, value in meta.nominal.items():
-        if isinstance(value, str):
-            continue
-        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-            raise InputError(f"Nominal '{key}' must be a number; instead it is {value!r}.")
-        names = [n for n in model.names if n[0] == "A"] if key == "amplitude_v" else [key]
-        if model.channels == ANGLE and key == "amplitude_v":
-            continue
-        known = ("amplitude_v", *rotary_meng().names, *rotary_ideal().names)
-        if key not in known:
-            raise InputError(f"Nominal '{key}' is no parameter of an encoder{nearest(key, list(known))}.")
-        changes |= {n: {"nominal": float(value)} for n in names if n in model.names}
-    return model.with_parameters(changes)
+    model, nominal = make(_outputs(meta)), dict(meta.nominal)
+    amplitude = nominal.pop("amplitude_v", None)
+    if amplitude is not None and model.channels != ANGLE:
+        nominal = {n: amplitude for n in model.names if n[0] == "A"} | nominal
+    return started(model, nominal, rotary_meng(), rotary_ideal())
 
 
 def _outputs(meta: Meta) -> tuple[Output, ...] | None:

@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.errors import InputError, nearest, require
-from hallsym.families.mechanisms import free
+from hallsym.families.mechanisms import free, started
 from hallsym.families.rotary.models import POSE, REFERENCES, TURN, ZERO, phasor
 from hallsym.families.rotary.waves import Wave
 from hallsym.log import Meta
@@ -185,9 +185,7 @@ def from_meta(make: Callable[..., Model], meta: Meta) -> Model:
         good = isinstance(place, int | float) and not isinstance(place, bool) and abs(place) <= 1e3
         require(good, f"place_rad of {entry.get('channel')}", "an angle in rad", place)
         layout.append(Head(str(entry.get("channel")), float(place), pairs))
-    model = make(tuple(layout))
-    changes = {n: {"nominal": float(v)} for n, v in meta.nominal.items() if n in model.names}
-    return model.with_parameters(changes)
+    return started(make(tuple(layout)), {k: v for k, v in meta.nominal.items() if k != "pole_pairs"})
 
 
 # -- effects ---------------------------------------------------------------------------------------------

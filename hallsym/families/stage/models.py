@@ -18,8 +18,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hallsym.errors import InputError, nearest
+from hallsym.errors import InputError, require
 from hallsym.families import published
+from hallsym.families.mechanisms import started
 from hallsym.log import Meta
 from hallsym.model import Combination, Family, Model, Parameter, Signals, Step, effect
 from hallsym.toml import number
@@ -355,13 +356,20 @@ def direction(probe: Probe, p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
     return nx * ca.cos(theta) - ny * ca.sin(theta), ny * ca.cos(theta) + nx * ca.sin(theta)
 
 
+def along(
+    probes: tuple[Probe, ...], p: Mapping[str, ca.SX], x: ca.SX, y: ca.SX, rz: ca.SX
+) -> list[ca.SX]:
+    """Return the displacement that each probe senses of a small planar motion, Eq. (11)."""
+    rows = []
+    for k, probe in enumerate(probes):
+        (px, py), (nx, ny) = position(k, probe, p), direction(probe, p)
+        rows.append(nx * x + ny * y + (px * ny - py * nx) * rz)
+    return rows
+
+
 def _small_angle(probes: tuple[Probe, ...]) -> Step:
     def step(s: Signals, p: Mapping[str, ca.SX]) -> None:
-        rows = []
-        for k, probe in enumerate(probes):
-            (px, py), (nx, ny) = position(k, probe, p), direction(probe, p)
-            rows.append(nx * s["x_m"] + ny * s["y_m"] + (px * ny - py * nx) * s["rz_rad"])  # (11)
-        s["displacement"] = ca.vertcat(*rows)
+        s["displacement"] = ca.vertcat(*along(probes, p, *(s[c] for c in POSE)))
 
     return step
 
@@ -403,28 +411,14 @@ def _lever_arm(k: int, probe: Probe) -> Combination:
 def from_meta(make: Callable[..., Model], meta: Meta) -> Model:
     """Return the model for the layout and nominal values in a log's `meta.json`; the paper's by default."""
     layout = None if meta.probes is None else tuple(_probe(entry) for entry in meta.probes)
-    model = make(layout)
+    model, nominal = make(layout), dict(meta.nominal)
     labels = [probe.label for probe in model.layout]
-    known = {*stage31(layout).names, *stage31_tied(layout).names} if meta.nominal else set()
-    changes: dict[str, dict[str, float]] = {}
-    for key, value in meta.nominal.items():
-        if key in ("eta", "theta_rad"):
-            if not isinstance(value, list) or len(value) != len(labels) or not all(map(_is_number, value)):
-                wanted = f"a list of {len(labels)} numbers"
-                raise InputError(f"Nominal '{key}' must be {wanted}; instead it is {value!r}.")
-            name = key.removesuffix("_rad")
-            changes |= {f"{name}_{k}": {"nominal": float(v)} for k, v in zip(labels, value, strict=True)}
-        elif key not in known:
-            raise InputError(f"Nominal '{key}' is no parameter of a stage{nearest(key, sorted(known))}.")
-        elif not _is_number(value):
-            raise InputError(f"Nominal '{key}' must be a number; instead it is {value!r}.")
-        elif key in model.names:
-            changes[key] = {"nominal": float(value)}
-    return model.with_parameters(changes)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+    for key in {"eta", "theta_rad"} & nominal.keys():
+        value = nominal.pop(key)
+        good = isinstance(value, list) and len(value) == len(labels)
+        require(good, f"Nominal '{key}'", f"a list of {len(labels)} numbers", value)
+        nominal |= zip((f"{key.removesuffix('_rad')}_{k}" for k in labels), value, strict=True)
+    return started(model, nominal, stage31(layout), stage31_tied(layout))
 
 
 def _probe(entry: Mapping[str, Any]) -> Probe:

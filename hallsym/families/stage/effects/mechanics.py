@@ -7,7 +7,7 @@ import casadi as ca
 from hallsym.errors import InputError
 from hallsym.families.mechanisms import DELAY, P, add_terms, free, late
 from hallsym.families.stage import models as stage
-from hallsym.families.stage.effects.parts import AXES, SENSED, along, labels
+from hallsym.families.stage.effects.parts import AXES, SENSED, labels
 from hallsym.model import Facts, Model, Parameter, Signals, Way, effect
 from hallsym.model.arguments import Try, beside, found, one_of
 from hallsym.model.derived import Computed, run_time
@@ -29,7 +29,7 @@ def time_skew(model: Model, per: str = PER) -> Model:
 
 def rates_along(model: Model) -> Callable[[Signals, P, int], list[ca.SX]]:
     """Return the time derivatives of what each probe senses, from the rates of the reference."""
-    return lambda s, p, n: along(model, p, *(s[f"d{n}_{c}"] for c in AXES))
+    return lambda s, p, n: stage.along(model.layout, p, *(s[f"d{n}_{c}"] for c in AXES))
 
 
 @effect(
@@ -135,7 +135,7 @@ def _off(
         error = [ca.SX(0)] * 3
         for name, (i, c) in zip(names, terms, strict=True):
             error[i] = error[i] + p[name] * s[c]
-        s["displacement"] = s["displacement"] - ca.vertcat(*along(model, p, *error))
+        s["displacement"] = s["displacement"] - ca.vertcat(*stage.along(model.layout, p, *error))
 
     what = [f"error of the reference of {model.pose[i]} per {c}" for i, c in terms]
     new = free(dict(zip(names, what, strict=True)), limit, unit)

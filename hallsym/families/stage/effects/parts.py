@@ -20,15 +20,6 @@ SENSED, GAIN, READING = (port(name, labels) for name in ("displacement", "gain",
 """Displacement [m] that each probe senses, its gain [1], and its reading [m]."""
 
 
-def along(model: Model, p: P, x: ca.SX, y: ca.SX, rz: ca.SX) -> list[ca.SX]:
-    """Return the displacement that each probe senses of a small planar motion, Eq. (11)."""
-    rows = []
-    for k, probe in enumerate(model.layout):
-        (px, py), (nx, ny) = stage.position(k, probe, p), stage.direction(probe, p)
-        rows.append(nx * x + ny * y + (px * ny - py * nx) * rz)
-    return rows
-
-
 def across(model: Model, s: Signals, p: P, k: int) -> ca.SX:
     """Return the motion of probe k across its sensing axis."""
     probe = model.layout[k]
