@@ -202,42 +202,40 @@ def write_campaign(campaign: Campaign, path: str | Path, comment: str = "") -> N
     head = [f"# {line}".rstrip() for line in comment.splitlines()]
     head += [f"step_s = {float(campaign.step_s)!r}", f"zero_spread_m = {float(campaign.zero_spread_m)!r}"]
     if campaign.noise:
-        head += ["", "[noise]", *(f"{_key(k)} = {float(v)!r}" for k, v in campaign.noise.items())]
+        head += ["", "[noise]", *_entries(campaign.noise)]
     for k, run in enumerate(campaign.runs):
-        head += ["", "[[run]]", *_run_lines(run, k)]
+        head += ["", "[[run]]", *_entries(_table(run, k))]
     atomic_write(path, "\n".join(head) + "\n")
 
 
-def _run_lines(run: Run, k: int) -> list[str]:
-    lines = [f"name = {toml_text(run.name)}"] if run.name else []
-    lines.append(f"duration_s = {float(run.duration_s)!r}")
-    if run.offsets:
-        lines.append(f"zero_deviations_m = {_plain(run.offsets)}")
+def _table(run: Run, k: int) -> dict[str, Any]:
+    """Return what a [[run]] holds."""
+    own: dict[str, Any] = {"name": run.name} if run.name else {}
+    own |= {"duration_s": run.duration_s} | ({"zero_deviations_m": run.offsets} if run.offsets else {})
     for axis in axes():
-        place = run.setting.get(axis)
-        if axis in run.motion:
-            lines.append(f"{axis} = {_signal_text(run.motion[axis], place, f'{axis} in run {k}')}")
-        elif place is not None:
-            lines.append(f"{axis} = {float(place)!r}")
-    return lines
+        signal, place = run.motion.get(axis), run.setting.get(axis)
+        if signal is None:
+            own |= {} if place is None else {axis: place}
+        elif isinstance(signal, Signal) and signal.kind in SIGNALS:
+            about = {} if place is None else {"about": place}
+            own[axis] = {"kind": signal.kind, **about, **signal.values}
+        else:
+            raise InputError(
+                f"The motion of {axis} in run {k} is a function or a curve, which is not written to a file; "
+                f"use one of {', '.join(SIGNALS)} of hallsym.simulation."
+            )
+    return own
 
 
-def _signal_text(signal: AtTimes, about: float | None, where: str) -> str:
-    if not isinstance(signal, Signal) or signal.kind not in SIGNALS:
-        raise InputError(
-            f"The motion of {where} is a function or a curve, which is not written to a file; use one of "
-            f"{', '.join(SIGNALS)} of hallsym.simulation."
-        )
-    place = {} if about is None else {"about": about}
-    entries = ", ".join(f"{k} = {_plain(v)}" for k, v in (place | dict(signal.values)).items())
-    return f"{{ kind = {toml_text(signal.kind)}, {entries} }}"
+def _entries(table: Mapping[str, Any]) -> list[str]:
+    """Return the entries of a table of TOML."""
+    plain = {k: k.isascii() and k.replace("_", "").isalnum() for k in table}
+    return [f"{k if plain[k] else toml_text(k)} = {_value_text(v)}" for k, v in table.items()]
 
 
-def _plain(value: float | Sequence[float]) -> str:
-    if isinstance(value, Sequence):
-        return f"[{', '.join(repr(float(v)) for v in value)}]"
-    return repr(float(value))
-
-
-def _key(name: str) -> str:
-    return name if name.replace("_", "").isalnum() and name.isascii() else toml_text(name)
+def _value_text(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(_entries(value))} }}"
+    if isinstance(value, str):
+        return toml_text(value)
+    return f"[{', '.join(map(_value_text, value))}]" if isinstance(value, Sequence) else repr(float(value))

@@ -16,7 +16,7 @@ distortions (offset, mismatch, phase, harmonics together) up to about 20 %.
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
-from math import pi
+from math import pi, prod
 from typing import Any
 
 import casadi as ca
@@ -61,11 +61,6 @@ class Output:
         return {"channel": self.channel}
 
 
-def two_voltages() -> tuple[Output, ...]:
-    """Return the layout of a log with the voltages of both plates."""
-    return tuple(map(Output, VOLTAGES))
-
-
 def angle_only() -> tuple[Output, ...]:
     """Return the layout of a log with the decoded angle alone."""
     return tuple(map(Output, ANGLE))
@@ -95,17 +90,7 @@ def rotary_ideal(layout: tuple[Output, ...] | None = None) -> Model:
 @cache
 def rotary(layout: tuple[Output, ...] | None = None) -> Model:
     """Return the ellipse: v_sin = Vy + Ay sin(angle + zero + beta), v_cos = Vx + Ax cos(angle + zero)."""
-
-    def transducer(s: Signals, p: Mapping[str, ca.SX]) -> None:
-        s["v_sin"] = s["sine"].ahead(p["beta"]) * p["Ay"] + p["Vy"]
-        s["v_cos"] = s["cosine"] * p["Ax"] + p["Vx"]
-        s["gain"] = ca.vertcat(p["Ay"], p["Ax"])
-
-    def begin(v: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
-        return _inverse((v[0] - p["Vy"]) / p["Ay"], (v[1] - p["Vx"]) / p["Ax"], p)
-
-    parameters = (*_plates(layout), BETA, ZERO)
-    return _encoder("rotary", layout, parameters, transducer, begin, _RATIOS)
+    return _ellipse("rotary", layout, (*_plates(layout), BETA, ZERO), _RATIOS)
 
 
 @cache
@@ -113,16 +98,7 @@ def rotary_meng(layout: tuple[Output, ...] | None = None) -> Model:
     """Return the paper's model: the ellipse with F(u) = K1 m^2 cos^2 u + K2 m cos u + K3 on both plates."""
 
     def field(s: Signals, p: Mapping[str, ca.SX]) -> None:
-        s["cosine"] = _transfer(s["cosine"], p)
-        s["sine"] = _transfer(s["sine"].ahead(p["beta"]), p)
-
-    def transducer(s: Signals, p: Mapping[str, ca.SX]) -> None:
-        s["v_sin"], s["v_cos"] = s["sine"] * p["Ay"] + p["Vy"], s["cosine"] * p["Ax"] + p["Vx"]
-        s["gain"] = ca.vertcat(p["Ay"], p["Ax"]) * (p["K2"] * p["m"])
-
-    def begin(v: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
-        y, x = ((v[k] - p[f"V{a}"]) / p[f"A{a}"] for k, a in enumerate("yx"))
-        return _inverse((y - p["K3"]) / (p["K2"] * p["m"]), (x - p["K3"]) / (p["K2"] * p["m"]), p)
+        s["cosine"], s["sine"] = _transfer(s["cosine"], p), _transfer(s["sine"], p)
 
     parameters = (
         *_plates(layout),
@@ -133,8 +109,31 @@ def rotary_meng(layout: tuple[Output, ...] | None = None) -> Model:
         Parameter("K2", K2, K2, K2, "1/T", "linear coefficient of F"),
         Parameter("K3", K3, K3, K3, "1", "constant of F"),
     )
-    model = _encoder("rotary_meng", layout, parameters, transducer, begin, _MENG_RATIOS)
+    model = _ellipse("rotary_meng", layout, parameters, _MENG_RATIOS)
     return model.with_step("field", field, effect="quadratic_transfer")
+
+
+def _ellipse(
+    name: str,
+    layout: tuple[Output, ...] | None,
+    parameters: tuple[Parameter, ...],
+    combinations: tuple[Combination, ...],
+) -> Model:
+    """Return an encoder with an offset and an amplitude for each plate, the sine plate ahead by beta."""
+    scaled = any(p.name == "m" for p in parameters)  # by F: K3, and K2 m of the field's cosine
+
+    def transducer(s: Signals, p: Mapping[str, ca.SX]) -> None:
+        s["v_sin"] = s["sine"].ahead(p["beta"]) * p["Ay"] + p["Vy"]
+        s["v_cos"] = s["cosine"] * p["Ax"] + p["Vx"]
+        s["gain"] = ca.vertcat(p["Ay"], p["Ax"]) * (p["K2"] * p["m"] if scaled else 1)
+
+    def begin(v: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
+        y, x = ((v[k] - p[f"V{a}"]) / p[f"A{a}"] for k, a in enumerate("yx"))
+        if scaled:
+            y, x = ((u - p["K3"]) / (p["K2"] * p["m"]) for u in (y, x))
+        return ca.atan2(y - x * ca.sin(p["beta"]), x * ca.cos(p["beta"])) - p["zero"]
+
+    return _encoder(name, layout, parameters, transducer, begin, combinations)
 
 
 def _encoder(
@@ -146,7 +145,7 @@ def _encoder(
     combinations: tuple[Combination, ...] = (),
 ) -> Model:
     """Return the chain that all encoders share, up to what stands on the transducer link."""
-    outputs = two_voltages() if layout is None else tuple(layout)
+    outputs = tuple(map(Output, VOLTAGES)) if layout is None else tuple(layout)
     channels = tuple(o.channel for o in outputs)
     if channels not in (VOLTAGES, ANGLE):
         raise InputError(
@@ -210,11 +209,6 @@ def _is_column(name: str, value: Any) -> bool:
     return isinstance(value, ca.SX) and value.is_symbolic() and str(value) == name
 
 
-def _inverse(sine: ca.SX, cosine: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
-    """The angle from sin(u + beta) and cos u, u = angle + zero."""
-    return ca.atan2(sine - cosine * ca.sin(p["beta"]), cosine * ca.cos(p["beta"])) - p["zero"]
-
-
 # -- parameters ------------------------------------------------------------------------------------------
 
 
@@ -234,18 +228,14 @@ def _plates(layout: tuple[Output, ...] | None) -> tuple[Parameter, ...]:
     )
 
 
-def _ratio(a: str, b: str) -> Combination:
-    return Combination(f"{a}/{b}", "1", (a, b), lambda p: p[a] / p[b])
-
-
-def _offset(axis: str) -> Combination:
-    v, a = f"V{axis}", f"A{axis}"
-    return Combination(f"{v}/({a}*K2*m)", "1", (v, a, "K2", "m"), lambda p: p[v] / (p[a] * p["K2"] * p["m"]))
+def _ratio(a: str, *below: str) -> Combination:
+    text = below[0] if len(below) == 1 else f"({'*'.join(below)})"
+    return Combination(f"{a}/{text}", "1", (a, *below), lambda p: p[a] / prod(p[b] for b in below))
 
 
 _RATIOS = (_ratio("Vx", "Ax"), _ratio("Vy", "Ay"), _ratio("Ay", "Ax"))
 """Combinations of offsets and amplitudes that an angle determines."""
-_MENG_RATIOS = (_offset("x"), _offset("y"), _ratio("Ay", "Ax"))
+_MENG_RATIOS = (_ratio("Vx", "Ax", "K2", "m"), _ratio("Vy", "Ay", "K2", "m"), _ratio("Ay", "Ax"))
 """The same where the flux density scales both plates."""
 
 
@@ -376,4 +366,4 @@ def _outputs(meta: Meta) -> tuple[Output, ...] | None:
     if meta.probes is not None:
         return tuple(Output(str(entry.get("channel"))) for entry in meta.probes)
     seen = set(meta.columns)
-    return angle_only() if set(ANGLE) <= seen and not set(VOLTAGES) <= seen else two_voltages()
+    return angle_only() if set(ANGLE) <= seen and not set(VOLTAGES) <= seen else None

@@ -18,12 +18,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hallsym.errors import InputError, nearest, require
+from hallsym.errors import InputError, require
 from hallsym.families.mechanisms import free, started
 from hallsym.families.rotary.models import POSE, REFERENCES, TURN, ZERO, phasor
 from hallsym.families.rotary.waves import Wave
 from hallsym.log import Meta
 from hallsym.model import Family, Model, Parameter, Signals, effect
+from hallsym.toml import Table, number
 from hallsym.units import si_symbol
 
 RING = Family("ring")
@@ -165,26 +166,16 @@ def from_meta(make: Callable[..., Model], meta: Meta) -> Model:
     `[encoder] pole_pairs` and `[[probes]] channel, place_rad` of a machine file or of meta.json; a place that
     is not stated shares the period evenly. Columns hall1_..., hall2_..., ... of a log else.
     """
-    stated = meta.raw.get("encoder", {})
-    known = ("pole_pairs",)
-    for key in stated if isinstance(stated, dict) else ():
-        if key not in known:
-            raise InputError(f"Table [encoder] has no entry '{key}'{nearest(key, list(known))}: pole_pairs.")
-    entries = meta.probes or [
-        {"channel": c}
-        for c in sorted((c for c in meta.columns if re.fullmatch(HEADS, c)), key=lambda c: (len(c), c))
-    ]
-    if not entries:
-        entries = [{"channel": h.channel} for h in heads()]
-    pairs = stated.get("pole_pairs", entries[0].get("pole_pairs", meta.nominal.get("pole_pairs", 1)))
-    whole = isinstance(pairs, int) and not isinstance(pairs, bool) and 1 <= pairs <= MOST_PAIRS
-    require(whole, "pole_pairs of a ring", f"a whole number from 1 to {MOST_PAIRS}", pairs)
+    stated = Table(meta.raw, "the machine").table("encoder", ("pole_pairs",))
+    columns = sorted((c for c in meta.columns if re.fullmatch(HEADS, c)), key=lambda c: (len(c), c))
+    entries = meta.probes or [{"channel": c} for c in columns or [h.channel for h in heads()]]
+    pairs = stated.whole("pole_pairs", entries[0].get("pole_pairs", meta.nominal.get("pole_pairs", 1)))
+    require(pairs <= MOST_PAIRS, "pole_pairs of a ring", f"at most {MOST_PAIRS}", pairs)
     layout = []
     for k, entry in enumerate(entries):
         place = entry.get("place_rad", TURN * k / len(entries) / pairs)
-        good = isinstance(place, int | float) and not isinstance(place, bool) and abs(place) <= 1e3
-        require(good, f"place_rad of {entry.get('channel')}", "an angle in rad", place)
-        layout.append(Head(str(entry.get("channel")), float(place), pairs))
+        place = number(place, "place_rad", f"Hall {entry.get('channel')}")
+        layout.append(Head(str(entry.get("channel")), place, pairs))
     return started(make(tuple(layout)), {k: v for k, v in meta.nominal.items() if k != "pole_pairs"})
 
 

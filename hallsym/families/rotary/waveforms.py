@@ -37,13 +37,9 @@ class Waveform:
 
     def at(self, theta: ca.SX) -> ca.SX:
         """Return the value at an angle; made once for each expression of it."""
-        known = self._known.get(id(theta))
-        if known is None:
-            known = self._known[id(theta)] = (
-                theta,
-                self.value(theta),
-            )  # its id is unique while it is referenced
-        return known[1]
+        if id(theta) not in self._known:  # unique while theta is referenced
+            self._known[id(theta)] = theta, self.value(theta)
+        return self._known[id(theta)][1]
 
     @cached_property
     def wave(self) -> Wave:
@@ -86,10 +82,6 @@ class Waveform:
     def __sub__(self, other: Waveform | Wave | ca.SX | float) -> Waveform:
         """Return the difference from another signal or a constant."""
         return self + other * -1.0
-
-    def __rsub__(self, other: ca.SX | float) -> Waveform:
-        """Return the difference of a constant from this signal."""
-        return self * -1.0 + other
 
     def ahead(self, angle: ca.SX) -> Waveform:
         """Return the signal at theta + angle."""

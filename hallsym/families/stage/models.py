@@ -356,9 +356,7 @@ def direction(probe: Probe, p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
     return nx * ca.cos(theta) - ny * ca.sin(theta), ny * ca.cos(theta) + nx * ca.sin(theta)
 
 
-def along(
-    probes: tuple[Probe, ...], p: Mapping[str, ca.SX], x: ca.SX, y: ca.SX, rz: ca.SX
-) -> list[ca.SX]:
+def along(probes: tuple[Probe, ...], p: Mapping[str, ca.SX], x: ca.SX, y: ca.SX, rz: ca.SX) -> list[ca.SX]:
     """Return the displacement that each probe senses of a small planar motion, Eq. (11)."""
     rows = []
     for k, probe in enumerate(probes):
