@@ -215,9 +215,8 @@ def stretch_of(
     if len(u) < 2 or abs(u[-1] - u[0]) < LEAST_TURNS * TURN:
         made = abs(u[-1] - u[0]) / TURN if len(u) else 0.0
         raise InputError(
-            f"Run {run} makes {made:.2f} turns without a stop; a table over the turn needs "
-            f"{LEAST_TURNS:g} at "
-            "least (two and one more to judge it): let it turn further, or state the pole pairs."
+            f"Run {run} makes {made:.2f} turns without a stop; a table over the turn needs {LEAST_TURNS:g} "
+            "at least (two and one more to judge it): let it turn further, or state the pole pairs."
         )
     return Stretch(run, time, x, u)
 

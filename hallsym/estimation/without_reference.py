@@ -9,6 +9,7 @@ import numpy as np
 from hallsym.errors import InputError, counted, listed, require
 from hallsym.estimation.calibration import Fit, LogRecord, SolverRecord, calibrated
 from hallsym.estimation.self_calibration import (
+    FEW,
     MOTION,
     NONE,
     OPEN,
@@ -165,9 +166,8 @@ def samples_of(log: Log, model: Model) -> dict[int, tuple[np.ndarray, np.ndarray
         time = data["t_s"] if timed else np.arange(len(x), dtype=float)
         if not np.isfinite(x).all() or not np.isfinite(time).all() or not (np.diff(time) > 0).all():
             raise InputError(
-                f"Run {run} of {log.name} has readings that are no numbers, or a time that stands "
-                "still; without "
-                "a reference every sample counts: cut the log there."
+                f"Run {run} of {log.name} has readings that are no numbers, or a time that stands still; "
+                "without a reference every sample counts: cut the log there."
             )
         out[run] = time, x
     return out
@@ -296,9 +296,8 @@ def _left_open(found: SelfCalibration, unknown: Sequence[Wave]) -> str:
     if found.reference == NONE:
         return f"The readings alone do not tell {which} of the table; they are left out of it."
     return (
-        f"This recording does not separate {which} of the sensor from the motion: the table holds both, "
-        "and a "
-        "ripple of the drive there is learned wrongly."
+        f"This recording does not separate {which} of the sensor from the motion: the table holds both, and "
+        "a ripple of the drive there is learned wrongly."
     )
 
 
@@ -306,28 +305,21 @@ def separated_by(found: SelfCalibration) -> tuple[str, ...]:
     """Return the recordings that separate what this one does not; empty where it separates all."""
     if not found.verdicts(OPEN):
         return ()
-    out = []
-    r = 2.0
-    q = r**-2
-    factor = np.sqrt(1 + q * q) / (1 - q)
-    if found.reference != NONE and found.line.ratio < SPEEDS:
-        out.append(
-            f"two speeds in ratio {r:g}, the rotor coasting: a torque ripple falls with the speed "
-            "squared (q = "
-            f"(slow / fast)^2, error sqrt(v_fast + q^2 v_slow) / (1 - q): {factor:.2f} times that of "
-            "one speed)"
-        )
+    motion = []
     if found.reference == NONE:
-        out.append("the motion beside the readings: --reference coasting, at two speeds in ratio 2 or more")
-    out.append(
+        motion = ["the motion beside the readings: --reference coasting, at two speeds in ratio 2 or more"]
+    elif found.line.ratio < SPEEDS:
+        motion = [
+            "two speeds in ratio 2, the rotor coasting: a torque ripple falls with the speed squared (q = "
+            "(slow / fast)^2, error sqrt(v_fast + q^2 v_slow) / (1 - q): 1.37 times that of one speed)"
+        ]
+    return (
+        *motion,
         "a second head at an angle p where n p is near no multiple of 360 deg for these waves ('hallsym plan "
-        "--encoder' lists them): it separates any motion, a stepper's or a gear's too"
-    )
-    out.append(
+        "--encoder' lists them): it separates any motion, a stepper's or a gear's too",
         "turning back does not help: cogging and kinematic ripple are the same function of the angle in both "
-        "directions"
+        "directions",
     )
-    return tuple(out)
 
 
 def notes_of(found: SelfCalibration) -> tuple[str, ...]:
@@ -339,15 +331,13 @@ def notes_of(found: SelfCalibration) -> tuple[str, ...]:
     else:
         heads = listed([str(h + 1) for h in closure.jig.heads])
         out.append(
-            f"Halls {heads} see one field: misfit {closure.misfit:.3g}, noise {closure.noise:.3g} in "
-            "the unit of "
-            "the readings."
+            f"Halls {heads} see one field: misfit {closure.misfit:.3g}, noise {closure.noise:.3g} in the "
+            "unit of the readings."
         )
     if found.reference != NONE and trained < 4:
         out.append(
             f"The table is learned from {counted(trained, 'turn')}: slow wander of the speed makes it up to "
-            f"{1.8 if trained == 1 else 1.3:g} times worse than the errors of more turns say; record 5 "
-            "or more."
+            f"{FEW[min(trained, 2)]:g} times worse than the errors of more turns say; record 5 or more."
         )
     if found.pairs > 1:
         out.append(

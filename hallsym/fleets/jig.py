@@ -23,7 +23,7 @@ from hallsym.estimation.without_reference import (
     terms_of,
 )
 from hallsym.fleets.result import Fleet
-from hallsym.fleets.row import AMISS, FAILED, GOOD, STD, UNDETERMINED, VALUE
+from hallsym.fleets.row import AMISS, FAILED, GOOD, UNDETERMINED, record
 from hallsym.fleets.workers import Failed, completed
 from hallsym.log import Log
 from hallsym.model import Model
@@ -149,18 +149,17 @@ def ring_fleet(
         }  # fmt: skip
     jig: Jig | None = None
     found: dict[str, SelfCalibration] = {}
-    failed: dict[str, str] = {}
     for turn in ("each by itself", "with the jig"):
         alone = {name: one.closure for name, one in found.items()}
         work = [
             (name, {**ring, "jig": jig, "begin": alone.get(name)})
             for name, ring in asked.items()
-            if name not in failed
+            if name not in rows
         ]
         found = {}
         for (name, _), outcome in completed(calibrated, work, workers=workers):
             if isinstance(outcome, Failed):
-                failed[name] = outcome.reason
+                rows[name] = {"verdict": FAILED, "reason": one_line(outcome.reason)}
             else:
                 found[name] = outcome
             say(f"{turn}: {len(found)} of {counted(len(work), 'ring')}")
@@ -170,16 +169,11 @@ def ring_fleet(
     left = {n: f.left["table"][1] for n, f in found.items() if "table" in f.left}
     middle = float(np.median(list(left.values()))) if left else np.nan
     spread = 1.4826 * float(np.median(np.abs(np.array(list(left.values())) - middle))) if left else np.nan
-    for name in asked:
-        if name in failed:
-            rows[name] = {"verdict": FAILED, "reason": one_line(failed[name])}
-            continue
-        rows[name] = _row(fits[name], left.get(name), middle, spread)
+    rows |= {name: _row(fits[name], left.get(name), middle, spread) for name in fits}
     order = sorted(rows, key=lambda n: (rows[n].get("left_rad") is None, rows[n].get("left_rad") or 0.0))
     table = tuple({"device": n, "log": str(logs[n].path or ""), **rows[n]} for n in order)
-    count = len(fits)
     scatter = np.array([f.ripple[jig.orders - 1] for f in found.values() if len(f.ripple)])
-    error = scatter.std(axis=0) / np.sqrt(2 * count)
+    error = scatter.std(axis=0) / np.sqrt(2 * len(fits))
     fleet = Fleet(table, next(iter(fits.values())).fit.model if fits else None, perf_counter() - began)
     return RingFleet(fleet, fits, jig, error)
 
@@ -197,12 +191,6 @@ def _row(result: SelfFit, left: float | None, middle: float, spread: float) -> d
         )
     elif result.open:
         verdict, reason = UNDETERMINED, result.sentence
-    row: dict[str, Any] = {
-        "verdict": verdict, "reason": reason, "model": fit.model.name, "effects": ",".join(fit.model.effects),
-        "rows": fit.log.rows, "runs": fit.log.runs, "seconds": fit.seconds,
-        "left_rad": left, "turns": float(sum(found.turns)),
-    }  # fmt: skip
-    for p, value, std in zip(fit.model.parameters, fit.values, fit.std, strict=True):
-        if p.name[0] in "VAp":  # the table belongs to its ring: no spread of it is of use
-            row[f"{VALUE}{p.name}"], row[f"{STD}{p.name}"] = float(value), float(std)
-    return row
+    kept = [n for n in fit.model.names if n[0] in "VAp"]  # the table is its ring's: no spread of it is of use
+    more = {"seconds": fit.seconds, "left_rad": left, "turns": float(sum(found.turns))}
+    return record(fit, verdict, reason, kept) | more

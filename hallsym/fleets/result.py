@@ -14,6 +14,7 @@ from scipy.special import ndtri
 from hallsym.errors import InputError, counted, quoted, require
 from hallsym.files import replacing
 from hallsym.fleets.row import GOOD, STD, VALUE, VERDICTS
+from hallsym.fleets.sources import read_table
 from hallsym.fleets.spread import Spread, spread_of
 from hallsym.model import Model
 from hallsym.output import printable
@@ -165,14 +166,11 @@ class Fleet(Shown):
 
 def load_fleet(path: str | Path) -> Fleet:
     """Read a table that `Fleet.save` wrote as Parquet or CSV."""
-    from pyarrow import ArrowException, csv, parquet
-
     if not Path(path).is_file():
         raise InputError(f"There is no fleet {quoted(path)}; make one with 'hallsym fleet LOGS -o {path}'.")
-    try:
-        table = csv.read_csv(path) if Path(path).suffix.lower() == ".csv" else parquet.read_table(path)
-    except ArrowException as error:
-        raise InputError(f"File {quoted(path)} must be a table of a fleet; it cannot be read.") from error
+    table = read_table(Path(path))
+    if table is None:
+        raise InputError(f"File {quoted(path)} must be a table of a fleet; it cannot be read.")
     if not set(FIXED) <= set(table.column_names):
         raise InputError(f"File {quoted(path)} must be a table of a fleet; it has no column 'verdict'.")
     from hallsym.families import build

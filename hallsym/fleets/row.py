@@ -1,6 +1,6 @@
 """What one device gives: a fit that no other device waits for, as one small row."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Any
@@ -64,9 +64,19 @@ def _model(log: Log, asked: Settings) -> Model:
 
 def row_of_fit(found: Fit) -> dict[str, Any]:
     """Return what a fleet keeps of a fit."""
-    verdict, reason = verdict_of(found)
     goodness = found.goodness
     assert goodness is not None
+    free = [p.name for p in found.model.parameters if p.width > 0]
+    return record(found, *verdict_of(found), free) | {
+        "residual_over_noise": float(goodness.residual_over_noise),
+        "cost_per_degree_of_freedom": float(goodness.cost_per_degree_of_freedom),
+        "worst_run": int(goodness.worst_run),
+        "worst_channel": goodness.worst_channel,
+    }
+
+
+def record(found: Fit, verdict: str, reason: str, kept: Sequence[str]) -> dict[str, Any]:
+    """Return the columns of every device: what is said of its fit, and the parameters that are `kept`."""
     row: dict[str, Any] = {
         "verdict": verdict,
         "reason": one_line(reason),
@@ -74,15 +84,11 @@ def row_of_fit(found: Fit) -> dict[str, Any]:
         "effects": ",".join(found.model.effects),
         "rows": found.log.rows,
         "runs": found.log.runs,
-        "residual_over_noise": float(goodness.residual_over_noise),
-        "cost_per_degree_of_freedom": float(goodness.cost_per_degree_of_freedom),
-        "worst_run": int(goodness.worst_run),
-        "worst_channel": goodness.worst_channel,
     }
-    for p, value, std in zip(found.model.parameters, found.values, found.std, strict=True):
-        if p.width > 0:
-            row[f"{VALUE}{p.name}"] = float(value)
-            row[f"{STD}{p.name}"] = float(std) if np.isfinite(std) else None
+    for name, value, std in zip(found.model.names, found.values, found.std, strict=True):
+        if name in kept:
+            row[f"{VALUE}{name}"] = float(value)
+            row[f"{STD}{name}"] = float(std) if np.isfinite(std) else None
     return row
 
 

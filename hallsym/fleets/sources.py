@@ -67,17 +67,20 @@ def _name(path: Path) -> str:
     return path.name if path.is_dir() else path.name.partition(".")[0]
 
 
-def _table(path: Path) -> list[Device] | None:
-    """Return the devices of a table of logs; None for a file that is none."""
-    if not path.is_file() or path.suffix.lower() not in (".csv", ".parquet"):
-        return None
+def read_table(path: Path) -> Any:
+    """Return a CSV or Parquet file as a table of pyarrow; None where it cannot be read."""
     from pyarrow import ArrowException, csv, parquet
 
     try:
-        table = parquet.read_table(path) if path.suffix.lower() == ".parquet" else csv.read_csv(path)
+        return csv.read_csv(path) if path.suffix.lower() == ".csv" else parquet.read_table(path)
     except ArrowException:
         return None
-    if "log" not in table.column_names:
+
+
+def _table(path: Path) -> list[Device] | None:
+    """Return the devices of a table of logs; None for a file that is none."""
+    table = read_table(path) if path.is_file() and path.suffix.lower() in (".csv", ".parquet") else None
+    if table is None or "log" not in table.column_names:
         return None
     out = []
     for k, row in enumerate(table.to_pylist()):

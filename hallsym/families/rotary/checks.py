@@ -1,7 +1,7 @@
 """Pre-fit checks of an encoder's log, and claims on its fit: turns, zero, ellipse."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ EDGE = 0.02
 """Share of the samples at either end that may be spikes."""
 
 
-@dataclass
+@dataclass(frozen=True, eq=False)
 class Seen:
     """Sums over a log, of angles and references in radians.
 
@@ -29,43 +29,35 @@ class Seen:
     reference up and down. `even`: sum of exp(2 i |step|) over its steps: short where they are of all lengths.
     """
 
-    runs: dict[int, np.ndarray] = field(default_factory=dict)
-    sectors: np.ndarray = field(default_factory=lambda: np.zeros((2, BINS), dtype=bool))
-    moved: np.ndarray = field(default_factory=lambda: np.zeros(2))
-    even: complex = 0j
-
-    @property
-    def samples(self) -> int:
-        """Samples of the log."""
-        return int(sum(sums[0].real for sums in self.runs.values()))
-
-    def add(self, run: int, angle: np.ndarray, reference: np.ndarray) -> None:
-        """Take samples of a run, (n,) each [rad]."""
-        waves = np.exp(1j * np.array([0 * angle, angle - reference, angle + reference]))
-        self.runs[run] = self.runs.get(run, 0) + waves.sum(axis=1)
-        for bins, values in zip(self.sectors, (reference, angle), strict=True):
-            bins[np.floor(values * (BINS / (2 * np.pi))).astype(int) % BINS] = True
-        steps = np.diff(unwrapped(reference, 2 * np.pi))
-        self.even += complex(np.exp(2j * np.abs(steps)).sum())
-        self.moved += np.maximum(steps, 0.0).sum(), np.maximum(-steps, 0.0).sum()
+    runs: Mapping[int, np.ndarray]
+    sectors: np.ndarray
+    moved: np.ndarray
+    even: complex
 
     def follows(self, k: int, *, each: bool) -> float:
         """Return the length of the mean of exp(i (angle - k reference)), of runs by themselves or of all."""
-        sums = [own[k] for own in self.runs.values()]
-        return float(sum(map(abs, sums)) if each else abs(sum(sums))) / max(self.samples, 1)
+        sums = np.transpose(list(self.runs.values()))
+        return float((np.abs(sums[k]).sum() if each else abs(sums[k].sum())) / sums[0].real.sum())
 
 
 def seen_of(model: Model, log: Any) -> Seen:
     """Go over a log once (twice for voltages, whose middle and extent come first)."""
     scales = _scales(model, log) if len(model.channels) == 2 else []
-    seen, (column,) = Seen(), model.references
+    (column,), runs = model.references, dict[int, np.ndarray]()
+    sectors, moved, even = np.zeros((2, BINS), dtype=bool), np.zeros(2), 0j
     for block in log.blocks((*model.channels, column)):
-        values = np.array([block.data[c] for c in model.channels])
+        values, reference = [block.data[c] for c in model.channels], block.data[column]
         if scales:
-            y, x = ((v - middle) / half for v, (middle, half) in zip(values, scales, strict=True))
-            values = np.arctan2(y, x)[None]
-        seen.add(block.run, values[0], block.data[column])
-    return seen
+            values = [np.arctan2(*((v - a) / half for v, (a, half) in zip(values, scales, strict=True)))]
+        angle = values[0]
+        waves = np.exp(1j * np.array([0 * angle, angle - reference, angle + reference]))
+        runs[block.run] = runs.get(block.run, 0) + waves.sum(axis=1)
+        for bins, turned in zip(sectors, (reference, angle), strict=True):
+            bins[np.floor(turned * (BINS / (2 * np.pi))).astype(int) % BINS] = True
+        steps = np.diff(unwrapped(reference, 2 * np.pi))
+        even += complex(np.exp(2j * np.abs(steps)).sum())
+        moved += np.maximum(steps, 0.0).sum(), np.maximum(-steps, 0.0).sum()
+    return Seen(runs, sectors, moved, even)
 
 
 def _scales(model: Model, log: Any) -> list[tuple[float, float]]:
@@ -116,7 +108,7 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
         notes.append(Fault(text, UNRELATED, (column,)))
     forward = homed or bool(notes) or seen.follows(1, each=own) >= seen.follows(-1, each=own)
     guessed = fitted and "t_s" not in log.columns and column not in log.noise
-    if guessed and abs(seen.even) < ORDERED * (seen.samples - len(seen.runs)):
+    if guessed and abs(seen.even) < ORDERED * (log.rows - len(seen.runs)):
         text = (
             f"Rows of {log.name} are in no order ({column} moves by anything from one to the next), so the "
             f"noise cannot be estimated: sort them by {column}, or state the noise with --noise."

@@ -23,7 +23,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.families.mechanisms import started
+from hallsym.families.mechanisms import free, started
 from hallsym.families.rotary.checks import inspect
 from hallsym.families.rotary.waves import Wave, angle, cosine, sine
 from hallsym.log import Meta
@@ -250,11 +250,8 @@ def harmonics(model: Model) -> Model:
     errors up to about 10 mrad.
     """
     orders = range(3, 9)
-    added = tuple(
-        Parameter(f"h{n}{part}", 0.0, -0.1, 0.1, "rad", f"{n} waves of angle error per turn")
-        for n in orders
-        for part in "cs"
-    )
+    meanings = {f"h{n}{part}": f"{n} waves of angle error per turn" for n in orders for part in "cs"}
+    added = free(meanings, 0.1, "rad")
 
     def error(p: Mapping[str, ca.SX]) -> Wave:
         return Wave({n: (p[f"h{n}c"], p[f"h{n}s"]) for n in orders})

@@ -194,12 +194,10 @@ def turn_waves(model: Model, count: int = 12, step: int = 1) -> Model:
     fitting = count >= 1 and step >= 1 and count * step <= MOST_WAVES
     require(fitting, "count times step of turn_waves", f"1 to {MOST_WAVES}", count * step)
     orders = range(step, count * step + 1, step)
-    bound = 1.0 / pole_pairs(model)
-    new = tuple(
-        Parameter(f"t{n}{part}", 0.0, -bound, bound, "rad", f"{n} waves per turn of the angle that is read")
-        for n in orders
-        for part in "cs"
-    )
+    meanings = {
+        f"t{n}{part}": f"{n} waves per turn of the angle that is read" for n in orders for part in "cs"
+    }
+    new = free(meanings, 1.0 / pole_pairs(model), "rad")
 
     def bent(s: Signals, p: Mapping[str, ca.SX]) -> None:
         s["table"] = Wave({n: (p[f"t{n}c"], p[f"t{n}s"]) for n in orders})

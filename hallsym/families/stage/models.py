@@ -20,7 +20,7 @@ import numpy as np
 
 from hallsym.errors import InputError, require
 from hallsym.families import published
-from hallsym.families.mechanisms import started
+from hallsym.families.mechanisms import free, started
 from hallsym.log import Meta
 from hallsym.model import Combination, Family, Model, Parameter, Signals, Step, effect
 from hallsym.toml import number
@@ -30,8 +30,8 @@ FAMILY = Family("stage")
 POSE = ("x_m", "y_m", "rz_rad")
 REFERENCES = ("x_ref_m", "y_ref_m", "rz_ref_rad")
 STATE = ("z_m", "rx_rad", "ry_rad")
-ORIGIN = (-0.5, 0.5)
-"""Bounds of x0 and y0, the point at which Z is measured [m]: a stage is no larger than this."""
+ORIGIN = 0.5
+"""Largest x0 and y0, the point at which Z is measured [m]: a stage is no larger than this."""
 
 
 @dataclass(frozen=True)
@@ -120,10 +120,8 @@ def zero_deviation(model: Model) -> Model:
     One per probe and run, in m. They enter as displacement d_k = delta_k / phi_k(0); |delta_k| <= 10 um in
     the paper.
     """
-    offsets = tuple(
-        Parameter(f"delta_{p.label}", 0.0, -10e-6, 10e-6, "m", f"zero deviation of probe {p.label} in a run")
-        for p in model.layout
-    )
+    meanings = {f"delta_{p.label}": f"zero deviation of probe {p.label} in a run" for p in model.layout}
+    offsets = free(meanings, 10e-6, "m")
 
     def step(s: Signals, p: Mapping[str, ca.SX]) -> None:
         s["displacement"] = s["displacement"] + ca.vertcat(*(p[z.name] for z in offsets))
@@ -171,14 +169,10 @@ def tied_vertical_coupling(model: Model) -> Model:
     is measured: b_k / a_k = y_k - y0 and c_k / a_k = -(x_k - x0). Five parameters instead of nine, and the
     probe coordinates along the sensing axis become observable.
     """
-    slopes = tuple(
-        Parameter(f"a_{p.label}", 0.0, -5000.0, 5000.0, "1/m", f"change of gain {p.label} with height")
-        for p in model.layout
+    slopes = free(
+        {f"a_{p.label}": f"change of gain {p.label} with height" for p in model.layout}, 5000.0, "1/m"
     )
-    point = (
-        Parameter("x0", 0.0, *ORIGIN, "m", "x of the point where Z is measured"),
-        Parameter("y0", 0.0, *ORIGIN, "m", "y of the point where Z is measured"),
-    )
+    point = free({f"{c}0": f"{c} of the point where Z is measured" for c in "xy"}, ORIGIN, "m")
 
     def step(s: Signals, p: Mapping[str, ca.SX]) -> None:
         rows = []

@@ -133,21 +133,18 @@ def time_skew(
 
     A multiplexed converter has one per plate.
     """
-    speed = rate(REFERENCE)
-    if per == "log":
-        delay = free({"delay": "delay of the readings"}, 1.0, "s")
-        return add_ahead(
-            model, "time_skew", "reference", delay, lambda s, p: -p["delay"] * s[speed.name], speed
-        )
-    if decodes(model):
+    speed, own = rate(REFERENCE), per == "plate"
+    if own and decodes(model):
         raise InputError(
             f"Model {model.name} reads the angle alone here; a delay per plate needs both voltages."
         )
-    new = free({f"delay_{k}": f"delay of the {k} plate" for k in plates(model)}, 1.0, "s")
+    names = {k: f"delay_{k}" if own else "delay" for k in plates(model)}
+    meanings = {n: f"delay of the {k} plate" if own else "delay of the readings" for k, n in names.items()}
+    new = free(meanings, 1.0, "s")
 
     def step(s: Signals, p: P) -> None:
-        for plate in plates(model):
-            s[f"v_{plate}"] = s[f"v_{plate}"].ahead(-p[f"delay_{plate}"] * s[speed.name])
+        for plate, name in names.items():
+            s[f"v_{plate}"] = s[f"v_{plate}"].ahead(-p[name] * s[speed.name])
 
     return model.with_columns(speed).with_step("transducer", step, effect="time_skew", parameters=new)
 
