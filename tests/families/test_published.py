@@ -1,8 +1,7 @@
 """The published tables hold the article's digits, and those digits agree with the model they belong to.
 
 The literals here stand in the units of Sensors 2016, 16(6), 872 and were typed apart from the files.
-Equivalences: a rigid stage ties b/a and c/a to where the probes are (signs and units of a, b, c, H);
-estimates lie inside their search ranges; every model improves on the one before.
+Equivalence: a rigid stage ties b/a and c/a to where the probes are (signs and units of a, b, c, H).
 """
 
 import math
@@ -10,19 +9,8 @@ import math
 import pytest
 
 from hallsym.errors import InputError
-from hallsym.families.published import bounds, data_folder, table, values
+from hallsym.families.published import bounds, table, values
 
-TABLES = [
-    "table1_designed",
-    "table2_errors_model15",
-    "table3_bounds",
-    "table4_errors_model30",
-    "table5_bounds_vertical",
-    "table6_settings",
-    "table7_estimates",
-    "table8_errors_model31",
-    "tableA1_zero_deviations",
-]
 VERTICAL = [f"{letter}_{sensor}" for sensor in "ABC" for letter in "abc"]
 LENGTHS = ["H1x", "H2x", "H3y", "H3x", "H1y", "H2y"]
 GAINS = ["eta_A", "eta_B", "eta_C"]
@@ -125,11 +113,6 @@ def test_table_a1_sums():
     assert [round(value, 3) for value in rms] == [1.078, 1.006, 1.428]
 
 
-def test_zero_deviations_are_within_ten_micrometres():
-    columns = [table("tableA1_zero_deviations")[f"delta_{sensor}_m"] for sensor in "abc"]
-    assert max(abs(delta) for column in columns for delta in column) == 4.79e-6
-
-
 # What the digits say together.
 
 
@@ -145,20 +128,7 @@ def test_a_rigid_stage_ties_the_vertical_coefficients(sensor, x0, y0):
     assert y - b / a == pytest.approx(y0, abs=0.005)
 
 
-@pytest.mark.parametrize("axis", ["x_m", "y_m", "rz_rad"])
-def test_each_model_improves_on_the_one_before(axis):
-    errors = [table(name)[axis] for name in TABLES if "_errors_" in name]
-    rmse, peak = zip(*errors, strict=True)
-    assert rmse[0] > rmse[1] > rmse[2]
-    assert peak[0] > peak[1] > peak[2]
-    assert all(low < high for low, high in errors)
-
-
 # The loader and its files.
-
-
-def test_every_file_is_a_known_table():
-    assert sorted(path.stem for path in (data_folder() / "chen2016").iterdir()) == TABLES
 
 
 @pytest.mark.parametrize("name", ["table1_designed", "table7_estimates"])
@@ -172,10 +142,3 @@ def test_unknown_table_names_the_nearest_one():
     with pytest.raises(InputError, match="did you mean 'table7_estimates'") as error:
         table("table7_estimate")
     assert "data/<publication>/<table>.csv" in str(error.value)
-
-
-def test_a_table_cannot_be_changed_by_its_reader():
-    with pytest.raises(TypeError):
-        table("table6_settings")["z_m"] = ()  # type: ignore[index]
-    values("table7_estimates")["a_A"] = 0.0
-    assert values("table7_estimates")["a_A"] == -188.1873

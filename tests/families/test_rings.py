@@ -67,16 +67,18 @@ def test_a_table_over_the_turn_is_read_at_the_bent_angle_and_fitted_with_a_refer
 
 
 @pytest.mark.parametrize(
-    ("raw", "columns", "said"),
+    ("stated", "columns", "said"),
     [
-        ({"encoder": {"pole_pairs": 2.5}}, ("hall1_v", "hall2_v"), "pole_pairs"),
-        ({"encoder": {"poles": 2}}, ("hall1_v", "hall2_v"), "poles"),
+        ({"raw": {"encoder": {"pole_pairs": 2.5}}}, ("hall1_v", "hall2_v"), "pole_pairs"),
+        ({"raw": {"encoder": {"poles": 2}}}, ("hall1_v", "hall2_v"), "poles"),
+        ({"raw": {"encoder": 3}}, ("hall1_v", "hall2_v"), "a table"),
+        ({"nominal": {"V3": 0.1}}, ("hall1_v", "hall2_v"), "parameter of rings3"),
         ({}, ("hall1_v",), "two Halls"),
     ],
 )
-def test_a_ring_that_cannot_be_is_refused(raw, columns, said) -> None:
+def test_a_ring_that_cannot_be_is_refused(stated, columns, said) -> None:
     with pytest.raises(InputError, match=said):
-        build("rings3", meta=Meta(raw=raw, columns=columns))
+        build("rings3", meta=Meta(**stated, columns=columns))
 
 
 @pytest.mark.parametrize("arithmetic", ["float", "q31"])

@@ -19,28 +19,8 @@ from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log, Meta, Noise, Sigma
 
 ROTARY = {name: e for name, e in effects(ROTARY_FAMILY).items() if e.diagnosed}
-NUMBERS = {
-    "eccentricity": ("form=curved", "form=chip", "direction_deg=30"),
-    "magnet_tilt": ("form=chip",),
-    "third_harmonic_distortion": ("phase=free",),
-    "uniform_stray_field": ("source=speed", "runs=1/2"),
-    "odd_nonlinearity": ("order=5",),
-    "hysteresis": ("half_width_rad=0.01",),
-    "gain_temperature_drift": ("mean_degc=21.5",),
-    "offset_temperature_drift": ("mean_degc=21.5",),
-    "gain_time_drift": ("duration_s=4,degree=2", "settling_s=1.5"),
-    "offset_time_drift": ("duration_s=4", "settling_s=1.5"),
-    "mains_hum": ("frequency_hz=50.02",),
-    "reference_voltage_fluctuation": ("frequency_hz=50.02",),
-    "reference_pole_pairs": ("periods=50/100",),
-}
 ONLY = {"voltages": ("time_skew:per=plate", "saturation:low_v=-1.1/-1.2,high_v=1.1/inf"),
         "angle": ("saturation:level=0.9,axes_deg=30",)}  # fmt: skip
-TEXTS = [
-    *(n for n, effect in ROTARY.items() if not effect.lacking(n)),
-    *(f"{n}:{t}" for n, v in NUMBERS.items() for t in v),
-]
-CASES = [(form, text) for form, only in ONLY.items() for text in (*TEXTS, *only)]
 SIGMA, REF, OFFSET = 2e-4, 1e-5, 0.005 - 0.003j
 
 
@@ -55,12 +35,6 @@ def make_of(text: str):
 
 
 # -- texts -------------------------------------------------------------------------------------------------
-
-
-def test_every_effect_of_an_encoder_is_among_the_cases() -> None:
-    for form in ONLY:
-        names = {text.partition(":")[0] for f, text in CASES if f == form}
-        assert names >= set(ROTARY) - {"saturation"}
 
 
 def test_a_name_of_two_families_is_that_of_the_model() -> None:
@@ -247,23 +221,6 @@ def test_what_is_diagnosed_on_an_encoder_is_what_is_fitted() -> None:
 # -- logs that are refused ---------------------------------------------------------------------------------
 
 
-def spoilt(what: str) -> Log:
-    """A log of which one thing is wrong."""
-    log = encoder(None)
-    c = {name: log.array(name) for name in log.columns}
-    y, x, a = "v_sin_v", "v_cos_v", "angle_ref_rad"
-    changes = {
-        "another count of turns": {a: c[a] / 2},
-        "another reference": {a: c[a][::-1] * np.pi},
-        "dead plate": {x: np.full_like(c[x], 0.3)},
-        "swapped": {y: c[x], x: c[y]},
-        "no reference": {},
-    }
-    c |= changes[what]
-    c["run"] = c["run"].astype(int)
-    return Log.from_arrays({k: v for k, v in c.items() if what != "no reference" or k != a})
-
-
 @pytest.fixture(scope="module")
 def calib(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("encoder") / "calib.json"
@@ -272,7 +229,10 @@ def calib(tmp_path_factory) -> Path:
 
 
 def test_swapped_voltages_are_said_where_a_calibration_is_judged(calib: Path, tmp_path: Path, capsys) -> None:
-    log = str(written(spoilt("swapped"), tmp_path / "log.csv"))
+    right = encoder(None)
+    c = {name: right.array(name) for name in right.columns}
+    swapped = Log.from_arrays(c | {"v_sin_v": c["v_cos_v"], "v_cos_v": c["v_sin_v"]})
+    log = str(written(swapped, tmp_path / "log.csv"))
     assert main(["evaluate", str(calib), log]) == 2
     assert "runs the other way round than when the calibration was made" in capsys.readouterr().err
     assert main(["fit", log, "--model", "rotary", "--solver", "direct"]) == 0

@@ -256,18 +256,6 @@ def test_a_campaign_that_moves_what_a_model_lacks_is_refused():
         hallsym.simulate(build("rotary"), {}, hallsym.paper_campaign(), seed=1)
 
 
-def test_the_bundled_encoder_gives_its_truth_back():
-    log = hallsym.read_log(Path(__file__).resolve().parents[2] / "data" / "encoder")
-    fit = hallsym.fit(log, solver="direct")
-    truth = {"Vx": 0.008943, "Vy": 0.000491, "Ax": 1.008607, "Ay": 0.994536, "beta": 0.000368, "m": 0.113}
-    assert fit.model.name == "rotary_meng"
-    for name, value in truth.items():
-        k = fit.model.names.index(name)
-        assert abs(fit.values[k] - value) < 3.5 * fit.std[k], name
-    held = fit.errors.rows()["holdout"]["rmse"]["angle_rad"]
-    assert held == pytest.approx(fit.noise_floor["angle_rad"], rel=0.1)
-
-
 # -- logs beside the repository --------------------------------------------------------------------------
 
 

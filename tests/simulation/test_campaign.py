@@ -1,5 +1,7 @@
 """Campaigns: what signals do over time, the article's 57 runs, and what a campaign file may say."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -166,50 +168,17 @@ BAD = {
     "no trajectory": ("step_s = 1e-3", "trajectory"),
     "unknown key": (GOOD.replace("step_s", "stepp_s", 1), "did you mean 'step_s'"),
     "unknown axis": (GOOD.replace("rx_rad", "rx_deg", 1), "rx_deg"),
-    "unknown trajectory key": (GOOD.replace("duration_s = 0.25", "time_s = 1", 1), "time_s"),
     "negative step": (GOOD.replace("1e-3", "-1e-3", 1), "positive"),
-    "step as text": (GOOD.replace("1e-3", '"1ms"', 1), "positive"),
     "no duration": (GOOD.replace("duration_s = 0.5", "", 1), "duration_s"),
-    "infinite duration": (GOOD.replace("duration_s = 0.5", "duration_s = inf", 1), "duration_s"),
-    "true duration": (GOOD.replace("duration_s = 0.5", "duration_s = true", 1), "duration_s"),
     "unknown signal": (GOOD.replace('"sine"', '"sinus"'), "did you mean 'sine'"),
-    "signal is a number": (
-        GOOD.replace('{ kind = "sine", amplitude = 3e-4, frequency_hz = 2.0 }', "3"),
-        "kind",
-    ),
+    "signal is a number": (re.sub(r"x_m = .*2.0 }", "x_m = 3", GOOD), "kind"),
     "no amplitude": (GOOD.replace("amplitude = 3e-4, ", ""), "amplitude"),
     "unknown signal key": (
         GOOD.replace("frequency_hz = 2.0", "frequency_hz = 2.0, phase_deg = 3"),
         "phase_deg",
     ),
     "zero frequency": (GOOD.replace("frequency_hz = 2.0", "frequency_hz = 0"), "frequency_hz"),
-    "amplitude as text": (GOOD.replace("amplitude = 3e-4", 'amplitude = "big"'), "amplitude"),
-    "amplitude not a number": (GOOD.replace("amplitude = 3e-4", "amplitude = nan"), "amplitude"),
-    "phase as text": (GOOD.replace("frequency_hz = 2.0", 'frequency_hz = 2.0, phase_rad = "x"'), "phase_rad"),
     "no levels": (GOOD.replace("[0.0, 5e-5]", "[]"), "levels"),
-    "levels as text": (GOOD.replace("[0.0, 5e-5]", '["up"]'), "levels"),
-    "level alone": (GOOD.replace("[0.0, 5e-5]", "5e-5"), "levels"),
-    "frequencies as text": (
-        GOOD.replace(
-            'kind = "sine", amplitude = 3e-4, frequency_hz = 2.0',
-            'kind = "multi-sine", amplitude = 1e-4, frequencies_hz = ["1"]',
-        ),
-        "frequencies_hz",
-    ),
-    "setting as text": (GOOD.replace("z_m = 1e-4", 'z_m = "up"', 1), "z_m"),
-    "setting is a table": (
-        GOOD.replace("[[setting]]\nrx_rad = -2e-4\n", "").replace("[[setting]]", "[setting]"),
-        "setting",
-    ),
-    "trajectory is a table": (
-        GOOD[: GOOD.index("[[trajectory]]")] + "[trajectory]\nduration_s = 1",
-        "trajectory",
-    ),
-    "spread as text": (GOOD.replace("2e-6", '"2um"', 1), "zero_spread_m"),
-    "negative spread": (GOOD.replace("2e-6", "-2e-6", 1), "zero_spread_m"),
-    "noise is a number": (GOOD.replace("[noise]\nhall_m = 5e-7", "noise = 3", 1), "noise"),
-    "noise as text": (GOOD.replace("5e-7", '"loud"', 1), "noise|hall_m"),
-    "negative noise": (GOOD.replace("5e-7", "-5e-7", 1), "noise|hall_m"),
 }
 
 RUNS = """
@@ -229,10 +198,6 @@ BAD |= {
     "settings without trajectory": ("[[setting]]\nz_m = 0.0\n" + RUNS, "trajectory"),
     "unknown key of a run": (RUNS.replace("z_m =", "zz_m ="), "did you mean 'z_m'"),
     "name as a number": (RUNS.replace('"corner"', "3"), "name"),
-    "place as text": (RUNS.replace("-2.5e-4", '"low"'), "z_m"),
-    "about as text": (RUNS.replace("about = 1e-4", 'about = "here"'), "about"),
-    "run without duration": (RUNS.replace("duration_s = 0.25", ""), "duration_s"),
-    "deviations as a number": (RUNS.replace("[1e-6, -2e-6, 0]", "1e-6"), "zero_deviations_m"),
     "about in a trajectory": (GOOD.replace("amplitude = 3e-4", "about = 0.0, amplitude = 3e-4"), "about"),
 }
 

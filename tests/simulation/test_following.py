@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from hallsym.errors import InputError
-from hallsym.families import build
-from hallsym.simulation import Campaign, Run, follow, read_campaign, simulate, write_campaign
+from hallsym.simulation import follow, read_campaign, write_campaign
 from hallsym.trajectory import Curve, choose_curve
 
 CIRCLE = "x = r*cos(t); y = r*sin(t)"
@@ -75,12 +74,6 @@ def test_a_campaign_file_names_curves_of_its_own_folder(circle, tmp_path, monkey
     assert second.position("x_m", np.zeros(1)) == pytest.approx([3e-4], abs=1e-9)  # about its place
     with pytest.raises(InputError, match="is not written"):
         write_campaign(campaign, tmp_path / "again.toml")
-
-
-def test_a_simulated_log_follows_the_curve(circle):
-    model = build("stage31")
-    columns = simulate(model, {}, Campaign(0.01, (Run(1.0, {}, follow(circle, 1.0)),)), seed=0)
-    assert np.allclose(np.hypot(columns["x_ref_m"], columns["y_ref_m"]), 2e-4, atol=1e-9)
 
 
 @pytest.mark.parametrize(
