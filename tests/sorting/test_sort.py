@@ -40,15 +40,6 @@ def test_the_thesis_repeats_are_a_drift_and_a_scatter():
         assert abs(n - expected[k]) < 2 * max(np.sqrt(expected[k]), 1)
 
 
-def test_changes_of_bin_are_what_is_drawn():
-    rng = np.random.default_rng(3)
-    first = rng.uniform(-0.5, 0.5, 400_000)
-    moved = np.floor(first + 0.3 + rng.normal(0, 0.4, len(first)) + 0.5)
-    for k in range(-2, 4):
-        p = change_probability(k, 1.0, 0.3, 0.4)
-        assert abs((moved == k).mean() - p) < 4 * np.sqrt(p / len(first)) + 1e-5
-
-
 # -- what is stated is what happens ------------------------------------------------------------------------
 
 
