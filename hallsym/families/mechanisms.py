@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from hallsym.errors import InputError, require
+from hallsym.errors import require
 from hallsym.families.faults import inject_rails
 from hallsym.model import Effect, Facts, Model, Parameter, Signals, effect
 from hallsym.model.arguments import POSITIVE, Number, Try, beside, found, from_log, one_of, searched
@@ -229,10 +229,10 @@ def saturation(unit: str, what: str, port: Port, separate: str) -> Effect:
     numbers = {low: beside(f"lowest reading of each {what}"), high: highest}
 
     def stop(model: Model, **rail: Sequence[float]) -> Model:
-        if not len(rail[low]) == len(rail[high]) == len(model.channels):
-            raise InputError(
-                f"Rails of saturation must be {len(model.channels)} numbers each, separated by /."
-            )
+        wanted, lengths = len(model.channels), [len(rail[low]), len(rail[high])]
+        require(
+            lengths == [wanted] * 2, "Rails of saturation", f"{wanted} numbers each, with / between", lengths
+        )
         return clipping(model, port, rail[low], rail[high])
 
     return effect(

@@ -17,7 +17,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from hallsym.errors import InputError, nearest
+from hallsym.errors import require
 
 _TEXT = {"parameter", "quantity", "axis", "unit", "printed", "factor"}  # every other column holds numbers
 
@@ -42,12 +42,7 @@ def table(name: str) -> Mapping[str, tuple[Any, ...]]:
     `1/rad`, `1`). Numbers are floats, `setting` is an int, the rest is text.
     """
     files = {path.stem: path for path in data_folder().glob("*20??/*.csv")}
-    if name not in files:
-        known = sorted(files)
-        raise InputError(
-            f"No published table is called {name!r}{nearest(name, known)}; there are {len(known)}, the files "
-            "data/<publication>/<table>.csv."
-        )
+    require(name in files, "A published table", "a file data/<publication>/<table>.csv", name, sorted(files))
     with files[name].open(encoding="utf-8", newline="") as file:
         header, *rows = csv.reader(line for line in file if not line.startswith("#"))
     columns = dict(zip(header, zip(*rows, strict=True), strict=True))
@@ -57,11 +52,8 @@ def table(name: str) -> Mapping[str, tuple[Any, ...]]:
 def values(name: str) -> dict[str, float]:
     """Return parameter -> value in SI of a table of values: `table1_designed` or `table7_estimates`."""
     columns = table(name)
-    if not {"parameter", "value"} <= columns.keys():
-        raise InputError(
-            f"Published table {name!r} must have the columns parameter and value; "
-            f"instead it has {', '.join(columns)}. Read it with table({name!r})."
-        )
+    good, wanted = {"parameter", "value"} <= columns.keys(), "one with the columns parameter and value"
+    require(good, f"Published table {name}", wanted, list(columns))
     return dict(zip(columns["parameter"], columns["value"], strict=True))
 
 
@@ -70,13 +62,9 @@ def bounds() -> dict[str, tuple[float, float]]:
 
     The signs in Table 5 belong to this layout of probes and to where Z is measured.
     """
-    return {
-        parameter: (lower, upper)
-        for name in ("table3_bounds", "table5_bounds_vertical")
-        for parameter, lower, upper in zip(
-            *(table(name)[column] for column in ("parameter", "lower", "upper")), strict=True
-        )
-    }
+    tables = map(table, ("table3_bounds", "table5_bounds_vertical"))
+    rows = (zip(t["parameter"], t["lower"], t["upper"], strict=True) for t in tables)
+    return {parameter: (lower, upper) for own in rows for parameter, lower, upper in own}
 
 
 def _typed(column: str, cells: tuple[str, ...]) -> tuple[Any, ...]:

@@ -169,10 +169,8 @@ def load_fleet(path: str | Path) -> Fleet:
     if not Path(path).is_file():
         raise InputError(f"There is no fleet {quoted(path)}; make one with 'hallsym fleet LOGS -o {path}'.")
     table = read_table(Path(path))
-    if table is None:
-        raise InputError(f"File {quoted(path)} must be a table of a fleet; it cannot be read.")
-    if not set(FIXED) <= set(table.column_names):
-        raise InputError(f"File {quoted(path)} must be a table of a fleet; it has no column 'verdict'.")
+    if table is None or not set(FIXED) <= set(table.column_names):
+        raise InputError(f"File {quoted(path)} must be a table of a fleet; it is none, or damaged.")
     from hallsym.families import build
 
     rows = [{k: v for k, v in row.items() if v is not None} for row in table.to_pylist()]

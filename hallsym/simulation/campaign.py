@@ -94,10 +94,7 @@ def _campaign(file: Table, folder: Path) -> Campaign:
     if "setting" not in file:
         settings = [{}]
     count = len(settings) * len(trajectories) + len(single)
-    if count > MOST_RUNS:
-        raise InputError(
-            f"A {file.where} must have at most {MOST_RUNS} runs; it has {count}, so leave settings out."
-        )
+    require(count <= MOST_RUNS, f"Runs of a {file.where}", f"at most {MOST_RUNS} (leave settings out)", count)
     product = (_run(entry, folder, setting) for setting in settings for entry in trajectories)
     made = Campaign(
         file.positive("step_s", 2e-3),
@@ -106,11 +103,8 @@ def _campaign(file: Table, folder: Path) -> Campaign:
         noise_table(file),
     )
     samples = sum(run.duration_s for run in made.runs) / made.step_s
-    if samples > MOST_SAMPLES:
-        raise InputError(
-            f"A {file.where} must have at most {MOST_SAMPLES:g} samples; it has {samples:.3g}: raise "
-            "'step_s' or shorten 'duration_s'."
-        )
+    wanted = f"at most {MOST_SAMPLES:g} (raise 'step_s' or shorten 'duration_s')"
+    require(samples <= MOST_SAMPLES, f"Samples of a {file.where}", wanted, round(samples))
     return made
 
 
@@ -172,11 +166,13 @@ def _signal(entry: Table, axis: str, setting: dict[str, float] | None = None) ->
     make, required, optional = SIGNALS[kind]
     about = () if setting is None else ("about",)
     signal = Table(signal.raw, signal.where, ("kind", *required, *optional, *about))
-    missing = [k for k in required if k not in signal]
-    if missing:
-        raise InputError(
-            f"Signal {kind!r} of {signal.where} needs {', '.join(required)}; missing {missing[0]}."
-        )
+    given = [k for k in required if k in signal]
+    require(
+        len(given) == len(required),
+        f"Signal {kind!r} of {signal.where}",
+        f"with {', '.join(required)}",
+        given,
+    )
     if setting is not None and "about" in signal:
         setting[axis] = signal.number("about")
     return make(**{k: _value(signal, k) for k in (*required, *optional) if k in signal})

@@ -91,8 +91,7 @@ def simulate_blocks(
             known = {**dict(zip(model.references, pose, strict=True)), **logged, "t_s": start + t}
             state = logged | _computed(model, p, Stretch(number, known, start, 0.0, {}, {}))
             (reading,) = read(p, offsets, pose, [state[c] for c in model.state])
-            columns = dict(zip(model.channels, reading, strict=True))
-            columns |= logged
+            columns = dict(zip((*model.channels, *logged), (*reading, *logged.values()), strict=True))
             columns |= dict(zip(model.references, pose, strict=True))
             yield {
                 "run": np.full(len(t), number),
@@ -127,11 +126,8 @@ def _offsets(
     n = len(model.offsets)
     if n == 0:
         return np.zeros(0)
-    if run.offsets is not None and len(run.offsets) != n:
-        raise InputError(
-            f"Run must have {n} zero deviations, one per probe; instead {len(run.offsets)} given."
-        )
-    delta = np.array(run.offsets) if run.offsets is not None else rng.normal(0.0, campaign.zero_spread_m, n)
+    delta = np.array(rng.normal(0.0, campaign.zero_spread_m, n) if run.offsets is None else run.offsets)
+    require(len(delta) == n, "A run", f"one of {n} zero deviations, one per probe", len(delta))
     state = [run.position(c, np.zeros(1))[0] for c in model.state]
     return delta / model.zero_scale(p, np.array(state))  # (31): delta / phi(0)
 

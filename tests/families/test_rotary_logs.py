@@ -40,6 +40,8 @@ def test_the_form_follows_from_the_columns():
     assert build("ideal_arctan").name == "rotary_ideal"
     chosen = build("rotary", meta=Meta(probes=[{"channel": "angle_rad"}]))
     assert chosen.layout == ANGLE
+    stated = build("rotary", meta=Meta(nominal={"amplitude_v": 0.6, "Ax": 0.7, "magnet": "N42"}))
+    assert [stated.named(stated.nominal)[name] for name in ("Ax", "Ay")] == [0.7, 0.6]
 
 
 @pytest.mark.parametrize("make", [angle_log, voltage_log])

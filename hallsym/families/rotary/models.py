@@ -22,7 +22,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hallsym.errors import InputError
+from hallsym.errors import require
 from hallsym.families.mechanisms import free, started
 from hallsym.families.rotary.checks import inspect
 from hallsym.families.rotary.waves import Wave, angle, cosine, sine
@@ -147,11 +147,8 @@ def _encoder(
     """Return the chain that all encoders share, up to what stands on the transducer link."""
     outputs = tuple(map(Output, VOLTAGES)) if layout is None else tuple(layout)
     channels = tuple(o.channel for o in outputs)
-    if channels not in (VOLTAGES, ANGLE):
-        raise InputError(
-            f"An encoder is read as {' and '.join(VOLTAGES)} or as {ANGLE[0]}; instead received "
-            f"{', '.join(channels) or 'nothing'}."
-        )
+    wanted = f"read as {' and '.join(VOLTAGES)} or as {ANGLE[0]}"
+    require(channels in (VOLTAGES, ANGLE), "An encoder", wanted, channels)
     decoded = channels == ANGLE
     amplitudes = tuple(p.name for p in parameters if p.name in ("A", "Ax", "Ay"))
     return Model(

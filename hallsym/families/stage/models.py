@@ -218,11 +218,10 @@ def closed_form(model: Model, coefficients: Mapping[str, np.ndarray]) -> np.ndar
     gain and the sensing direction, whatever the angle. Parameters it cannot see stay nominal.
     """
     p = dict(zip(model.names, model.nominal.tolist(), strict=True))
-    slopes = {}
+    slopes, none = {}, np.zeros(len(model.layout))
     for k, probe in enumerate(model.layout):
-        matrix = np.array(
-            [[_entry(coefficients, pose, state, k) for pose in model.pose] for state in ("", *STATE)]
-        )
+        rows = [[f"{pose}*{state}".rstrip("*") for pose in model.pose] for state in ("", *STATE)]
+        matrix = np.array([[coefficients.get(name, none)[k] for name in row] for row in rows])
         weight = np.array([1.0, *[_TYPICAL] * len(STATE)])[:, None]
         _, _, v = np.linalg.svd(matrix * weight)
         phi, pose = matrix @ v[0], v[0]  # matrix = phi pose^T
@@ -244,11 +243,6 @@ def closed_form(model: Model, coefficients: Mapping[str, np.ndarray]) -> np.ndar
 
 _TYPICAL = 3e-4
 """Typical vertical motion [m, rad] that weighs the rows of a probe's matrix."""
-
-
-def _entry(coefficients: Mapping[str, np.ndarray], pose: str, state: str, k: int) -> float:
-    row = coefficients.get(f"{pose}*{state}" if state else pose)
-    return 0.0 if row is None else float(row[k])
 
 
 def _set_lever(p: dict[str, float], k: int, probe: Probe, nx: float, ny: float, lever: float) -> None:
@@ -281,21 +275,14 @@ FARTHEST = 5.0
 
 
 def _check(probes: tuple[Probe, ...]) -> None:
-    if len(probes) < 3:
-        raise InputError(
-            f"The stage needs at least 3 probes to determine x, y and Rz; the layout has {len(probes)}."
-        )
     labels = [p.label for p in probes]
-    if len(set(labels)) < len(labels):
-        raise InputError(f"Probe channels must have different letters; instead received {', '.join(labels)}.")
+    require(len(probes) >= 3, "A stage", "read by at least 3 probes to determine x, y and Rz", labels)
+    require(len(set(labels)) == len(labels), "Probe channels", "of different letters", labels)
     for p in probes:
-        if not np.all(np.abs([*p.position, *p.senses]) <= FARTHEST):
-            raise InputError(f"Position, 'senses' of probe {p.channel} must be finite, up to {FARTHEST:g} m.")
-        if not abs(p.senses[0] ** 2 + p.senses[1] ** 2 - 1) < 1e-6:
-            raise InputError(
-                f"'senses' of probe {p.channel} must be a unit vector; instead received {list(p.senses)}."
-            )
-
+        inside = np.abs([*p.position, *p.senses]) <= FARTHEST
+        require(inside.all(), f"Position of probe {p.channel}", f"finite, up to {FARTHEST:g} m", p.position)
+        length = p.senses[0] ** 2 + p.senses[1] ** 2
+        require(abs(length - 1) < 1e-6, f"'senses' of probe {p.channel}", "a unit vector", list(p.senses))
     x, y, nx, ny = np.array([[*p.position, *p.senses] for p in probes]).T
     lever = x * ny - y * nx
     responses = np.column_stack([nx, ny, lever / max(np.abs(lever).max(), 1e-12)])

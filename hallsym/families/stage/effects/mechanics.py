@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 import casadi as ca
 
-from hallsym.errors import InputError
+from hallsym.errors import require
 from hallsym.families.mechanisms import DELAY, P, add_terms, free, late
 from hallsym.families.stage import models as stage
 from hallsym.families.stage.effects.parts import AXES, SENSED, labels
@@ -104,14 +104,15 @@ def mount_slip(
 
     Its gain, lever arm and offset step.
     """
-    if probe not in labels(model):
-        known = ", ".join(labels(model))
-        raise InputError(f"Probe of mount_slip must be one of {known}; it is {probe!r}.")
+    known = labels(model)
+    require(probe in known, "Probe of mount_slip", f"one of {', '.join(known)}", probe, known)
     column = Computed(f"after_{instant_s:.9g}", (), lambda s: (s.data["t_s"] - s.origin_s >= instant_s) * 1.0)
-    gain = Parameter(f"slip_gain_{probe}", 0.0, -0.5, 0.5, "1", f"step of the gain of probe {probe}")
-    offset = Parameter(f"slip_offset_{probe}", 0.0, -1e-3, 1e-3, "m", f"step of the offset of probe {probe}")
-    lever = Parameter(f"slip_lever_{probe}", 0.0, -0.05, 0.05, "m", f"step of the lever of probe {probe}")
-    unit = ca.DM([float(k == probe) for k in labels(model)])
+    kinds = (("gain", 0.5, "1"), ("offset", 1e-3, "m"), ("lever", 0.05, "m"))
+    gain, offset, lever = (
+        Parameter(f"slip_{what}_{probe}", 0.0, -most, most, unit, f"step of the {what} of probe {probe}")
+        for what, most, unit in kinds
+    )
+    unit = ca.DM([float(k == probe) for k in known])
 
     def step(s: Signals, p: P) -> None:
         after = s[column.name]
