@@ -546,10 +546,8 @@ def stop_state(motion: Travel, width: float) -> np.ndarray:
 
 def _from_ends(motion: Travel, width: float) -> tuple[np.ndarray, np.ndarray]:
     """States at the edges (2, edges) and at all samples (2, n) if each run starts from -1 and from 1."""
-    strokes = motion.strokes / width
-    both = np.array([np.where(motion.last, end, strokes) for end in (-RESET, RESET)])
-    both[0, -1] = RESET  # what follows is the same motion from the other end
-    states = _states(both.ravel(), -1.0).reshape(both.shape)
+    ends, strokes = (-1.0, 1.0), motion.strokes / width
+    states = np.array([_states(np.where(motion.last, end * RESET, strokes), end) for end in ends])
     return states, np.clip(states[:, motion.stroke] + motion.along / width, -1.0, 1.0)
 
 

@@ -1,14 +1,13 @@
 """Effects of an encoder at the mechanics, the clock and the reference: eccentricity, tilt, delay, play."""
 
 from collections.abc import Sequence
-from itertools import pairwise
 from math import cos, radians, sin
 
 import casadi as ca
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.families.mechanisms import P, free, stop_operator, travel
+from hallsym.families.mechanisms import P, free, stop_state, travel
 from hallsym.families.rotary.effects.field import field_harmonics
 from hallsym.families.rotary.effects.parts import (
     LATE,
@@ -171,15 +170,10 @@ def hysteresis(
 
 
 def direction(width_rad: float) -> Computed:
-    """Return the direction of motion, -1 to 1, which turns over within `2 width_rad` after a reversal."""
+    """Return the direction of motion, -1 to 1, which reverses within `2 width_rad`; 0 where a run begins."""
 
     def rule(s: Stretch) -> np.ndarray:
-        z = stop_operator(travel(s.rate(REFERENCE, 0), s.edges), width_rad)
-        for first, stop in pairwise(s.edges):
-            full = first + np.flatnonzero(np.abs(z[first:stop]) >= 1.0)
-            if len(full):
-                z[first : full[0]] = z[full[0]]
-        return z
+        return np.asarray(stop_state(travel(s.rate(REFERENCE, 0), s.edges), width_rad)[0])
 
     return Computed(f"direction_{width_rad:.6g}", (REFERENCE,), rule)
 
