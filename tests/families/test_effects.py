@@ -1,14 +1,11 @@
 """Every effect is complete: numbers, texts, parameters with a meaning, and nothing where they are 0."""
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from hallsym.cli.main import main
 from hallsym.errors import InputError
 from hallsym.families import FAMILIES, build, effects
 from hallsym.families.faults import FAULTS, Injection, Recording
@@ -185,41 +182,6 @@ def test_a_number_needs_a_default() -> None:
 
     with pytest.raises(InputError, match="Link of an effect must be one of clock, mechanics"):
         effect(link="magnet")
-
-
-OWN = '''
-from hallsym.model import Parameter, effect
-from hallsym.model import one_of
-
-
-@effect(link="transducer")
-def speed_gain(model, power=one_of({1: "linear", 2: "square"}, "power of the speed")):
-    """Gain that follows the velocity of x."""
-    slope = Parameter("speed_gain", 0.0, -100.0, 100.0, "s/m", "gain per speed")
-
-    def step(s, p):
-        s["gain"] = s["gain"] * (1 + p["speed_gain"] * s["z_m"] ** power)
-
-    return model.with_step("transducer", step, effect="speed_gain", parameters=(slope,))
-
-
-EFFECTS = (speed_gain,)
-'''
-
-
-@pytest.mark.slow
-def test_an_own_effect_has_numbers_that_are_typed_saved_and_read_back(tmp_path, capsys) -> None:
-    path, calib = tmp_path / "mine.py", tmp_path / "calib.json"
-    path.write_text(OWN)
-    own = ["--effects", str(path)]
-    log = str(Path(__file__).parents[2] / "data" / "campaign")
-    assert main(["fit", log, "--model", "stage30", "--effect", "speed_gain:power=2", *own, "-o", str(calib),
-                 "--solver", "direct", "--accept", "all"]) == 3  # fmt: skip
-    record = json.loads(calib.read_text())
-    assert record["added"] == record["own_effects"] == ["speed_gain:power=2"]
-    assert main(["evaluate", str(calib), log, *own]) == 3  # stage30 does not describe the campaign
-    assert main(["evaluate", str(calib), log]) == 2
-    assert "an effect of your own" in capsys.readouterr().err
 
 
 # -- explained ---------------------------------------------------------------------------------------------

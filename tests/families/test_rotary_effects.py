@@ -12,7 +12,6 @@ from hallsym.diagnosis import diagnose, model_on
 from hallsym.errors import InputError
 from hallsym.estimation.evaluate import judged
 from hallsym.families import adapted, build, effects
-from hallsym.families.faults import FAULTS
 from hallsym.families.rotary import FAMILY as ROTARY_FAMILY
 from hallsym.families.rotary.models import VOLTAGES, angle_only
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
@@ -59,7 +58,6 @@ def test_a_name_of_two_families_is_that_of_the_model() -> None:
         ("gain_time_drift:settling_s=0", "positive"),
         ("eccentricity:form=chipped", "chip, both, curved"),
         ("harmonics:order=3", "takes no numbers"),
-        *((name, "fault of the recording") for name in FAULTS),
     ],
 )
 def test_a_bad_text_of_an_encoder_is_one_clear_sentence(text: str, said: str) -> None:

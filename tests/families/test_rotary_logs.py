@@ -14,7 +14,7 @@ from hallsym.cli.main import main
 from hallsym.diagnosis import diagnose
 from hallsym.errors import InputError
 from hallsym.families import build, default_model
-from hallsym.log import Log, Meta, Noise, check_log, continuous, wrapped
+from hallsym.log import Log, Meta, Noise, check_log
 from hallsym.report.results.fit import circumstances
 
 V = {"Vx": 0.01, "Vy": -0.02, "Ax": 1.01, "Ay": 0.98, "beta": 0.004, "zero": 3.1}
@@ -69,15 +69,6 @@ def test_an_encoder_that_turns_against_its_reference(make, tmp_path):
     fit.save(tmp_path / "calib.json")
     hallsym.write_log(log, tmp_path / "log.csv")
     assert main(["evaluate", str(tmp_path / "calib.json"), str(tmp_path / "log.csv"), "--json"]) == 0
-
-
-def test_a_reading_lies_next_to_its_reference():
-    log = angle_log(V, BOTH, 1e-4)
-    whole = continuous(log, build("rotary", meta=log.meta))
-    apart = whole.array("angle_rad") - whole.array("angle_ref_rad")
-    assert np.ptp(apart) < 0.2
-    assert np.allclose(wrapped(whole.array("angle_rad") - log.array("angle_rad"), TURN), 0, atol=1e-9)
-    assert continuous(whole, build("rotary", meta=log.meta)) is whole
 
 
 def test_the_noise_floor_is_that_of_the_decoded_angle():

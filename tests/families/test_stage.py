@@ -1,8 +1,8 @@
 """The stage's physics, by equivalences that share no code with it.
 
-Equivalences: the article's PM and phi typed in numpy; decoding inverts reading; textbook limits; mirrored and
-turned machines read the same; gains scale readings; poses superpose; finite rotation from its matrix; tied
-coupling is the free one of a rigid stage; lever arms are all that H does; the article's own Table 2.
+Equivalences: the article's PM and phi typed in numpy; decoding inverts reading; rotated machines read the
+same; finite rotation is that of its matrix; tied coupling is the free one of a rigid stage; lever arms are
+all that H does; the article's own Table 2.
 Tolerances count roundings (EPS, half a unit in the last place each) times the size of the terms.
 """
 
@@ -130,21 +130,6 @@ def test_decoding_inverts_reading(make, effects, layout, q, s, seed):
     back = numbers(model.decoded, p, d, reading, s, rng.uniform(0.5, 2.0, len(layout)))
     scale = np.array([1.0, 1.0, 1 / 0.3]) * (np.linalg.norm(q * [1, 1, 0.3]) + 1e-5)
     assert np.all(np.abs(back - q) <= 60**2 * 4 * ROUNDINGS * scale)
-
-
-@settings(max_examples=12)
-@given(layouts(), poses, states, seeds)
-def test_mirrored_machine_reads_the_same(layout, q, s, seed):
-    """x -> -x: positions, directions, x, Ry, Rz and misalignments change sign; Z, Rx and gains do not."""
-    mirrored = tuple(
-        Probe(p.channel, (-p.position[0], p.position[1]), (-p.senses[0], p.senses[1])) for p in layout
-    )
-    one, two = stage31_tied(layout), stage31_tied(mirrored)
-    v = named(one, inside(one, np.random.default_rng(seed)))
-    w = {n: -value if n.startswith(("theta", "x0")) else value for n, value in v.items()}
-    read = numbers(one.reading, one.vector(v), np.zeros(len(layout)), q, s)
-    mirror = numbers(two.reading, two.vector(w), np.zeros(len(layout)), q * [-1, 1, -1], s * [1, 1, -1])
-    assert np.all(np.abs(read - mirror) <= ROUNDINGS * 30.0 * (np.abs(q).sum() + 1e-300))
 
 
 @settings(max_examples=12)
