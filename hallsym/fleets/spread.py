@@ -14,7 +14,7 @@ chance of 1 % for the whole fleet: Student's t for a mean and a tau that are tho
 outlying to begin with is decided by medians, so that several such devices do not hide each other.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -93,7 +93,14 @@ def random_effects(x: np.ndarray, s: np.ndarray) -> tuple[float, float]:
     >>> round(mean, 3), tau  # no spread beyond the uncertainty
     (1.0, 0.0)
     """
-    loss, scale = _loss(x, s), float(np.std(x))
+
+    def loss(tau: float) -> float:
+        """Return minus twice the restricted log likelihood of tau."""
+        variance = tau**2 + s**2
+        about = np.sum((x - _mean(x, s, tau)) ** 2 / variance + np.log(variance))
+        return float(about + np.log(np.sum(1.0 / variance)))
+
+    scale = float(np.std(x))
     if scale == 0:
         return float(x[0]), 0.0
     found = minimize_scalar(
@@ -121,17 +128,6 @@ def interval_of(x: np.ndarray, s: np.ndarray) -> tuple[float, float]:
         return float(brentq(lambda tau: squares(tau) - value, 0.0, high))
 
     return at(float(chdtri(degrees, tail))), at(float(chdtri(degrees, 1.0 - tail)))
-
-
-def _loss(x: np.ndarray, s: np.ndarray) -> Callable[[float], float]:
-    """Minus twice the restricted log likelihood of tau."""
-
-    def loss(tau: float) -> float:
-        variance = tau**2 + s**2
-        about = np.sum((x - _mean(x, s, tau)) ** 2 / variance + np.log(variance))
-        return float(about + np.log(np.sum(1.0 / variance)))
-
-    return loss
 
 
 def _mean(x: np.ndarray, s: np.ndarray, tau: float) -> float:

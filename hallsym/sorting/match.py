@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError, require
+from hallsym.errors import InputError, counted, require
 from hallsym.model import Model
 from hallsym.records import named
 from hallsym.simulation import Campaign
@@ -252,15 +252,15 @@ def _inventory(inventory: Sorting | Mapping[str, float]) -> tuple[tuple[str, ...
 
 def _count(sets: int | None, sensors: int, size: int, model: Model, members: int) -> int:
     require(members >= 1, "A channel", "the sum of 1 or more sensors", members)
-    most = sensors // size
-    each = f"{len(model.channels)} channels" + (f" of {members} sensors" if members > 1 else "")
     require(sets is None or sets >= 1, "The number of sets", "1 or more", sets)
-    if most < 1 or (sets or 0) > most:
+    each = f"{len(model.channels)} channels" + (f" of {members} sensors" if members > 1 else "")
+    most, wanted = sensors // size, sets or 1
+    if wanted > most:
         raise InputError(
-            f"{sets or 1} set{'s' if (sets or 1) > 1 else ''} for {model.name} ({each}) need"
-            f" {(sets or 1) * size} sensors; {sensors} were sorted, which is enough for {most}."
+            f"{counted(wanted, 'set')} for {model.name} ({each}) need {wanted * size} sensors; {sensors} were"
+            f" sorted, which is enough for {most}."
         )
-    return most if sets is None else sets
+    return sets or most
 
 
 def _from_bins(gain: Array, width: float, size: int, count: int, rng: np.random.Generator) -> Array:

@@ -215,6 +215,10 @@ A, B, C = paper_layout()
         ((A, B, Probe("hall_c_m", (0.2, 0.3), (float("nan"), 0.0))), "finite"),
         ((A, B, Probe("hall_c_m", (float("nan"), 0.36), (1.0, 0.0))), "finite"),
         ((A, B, Probe("hall_c_m", (0.0, -0.3), (0.0, 1.0))), "must determine"),  # nothing senses X
+        (
+            tuple(Probe(f"hall_{k}_m", (0.1 * n, 0.2 * n), (0.6, 0.8)) for n, k in enumerate("abc")),
+            "must determine",
+        ),
         (  # all lines of sight meet in one point: a rotation about it is not seen
             tuple(
                 Probe(f"hall_{k}_m", *at)

@@ -22,7 +22,7 @@ from hallsym.errors import InputError, require
 from hallsym.families import published
 from hallsym.families.mechanisms import free, started
 from hallsym.log import Meta
-from hallsym.model import Combination, Family, Model, Parameter, Signals, Step, effect
+from hallsym.model import Combination, Family, Model, Parameter, Signals, effect
 from hallsym.toml import number
 
 FAMILY = Family("stage")
@@ -73,6 +73,16 @@ def stage15(layout: tuple[Probe, ...] | None = None) -> Model:
     """
     probes = paper_layout() if layout is None else tuple(layout)
     _check(probes)
+
+    def displacement(s: Signals, p: Mapping[str, ca.SX]) -> None:
+        s["displacement"] = ca.vertcat(*along(probes, p, *(s[c] for c in POSE)))
+
+    def gain(s: Signals, p: Mapping[str, ca.SX]) -> None:
+        s["gain"] = ca.vertcat(*(p[f"eta_{probe.label}"] for probe in probes))  # (14)
+
+    def reading(s: Signals, p: Mapping[str, ca.SX]) -> None:
+        s["reading"] = s["gain"] * s["displacement"]  # (13), (15)
+
     return Model(
         name="stage15",
         family=FAMILY,
@@ -81,11 +91,7 @@ def stage15(layout: tuple[Probe, ...] | None = None) -> Model:
         state=STATE,
         channels=tuple(p.channel for p in probes),
         parameters=_parameters(probes, paper=probes == paper_layout()),
-        steps=(
-            ("mechanics", _small_angle(probes)),
-            ("transducer", _gain(probes)),
-            ("electronics", _read_out),
-        ),
+        steps=(("mechanics", displacement), ("transducer", gain), ("electronics", reading)),
         combinations=tuple(_lever_arm(k, probe) for k, probe in enumerate(probes)),
         layout=probes,
         closed_form=closed_form,
@@ -304,19 +310,11 @@ def _parameters(probes: tuple[Probe, ...], *, paper: bool) -> tuple[Parameter, .
             parameters.append(
                 Parameter(f"H{k}{axis}", abs(value), low, high, "m", f"|{axis}| of probe {probe.label}")
             )
-    for probe in probes:
-        low, high = bounds.get(f"eta_{probe.label}", (0.55, 1.05))
-        parameters.append(
-            Parameter(f"eta_{probe.label}", 1.0, low, high, "1", f"gain of probe {probe.label} at Z = 0")
-        )
-    for probe in probes:
-        limit = radians(8)
-        parameters.append(
-            Parameter(
-                f"theta_{probe.label}", 0.0, -limit, limit, "rad", f"misalignment of probe {probe.label}"
-            )
-        )
-    return tuple(parameters)
+    for label in (probe.label for probe in probes):
+        low, high = bounds.get(f"eta_{label}", (0.55, 1.05))
+        parameters.append(Parameter(f"eta_{label}", 1.0, low, high, "1", f"gain of probe {label} at Z = 0"))
+    rotated = {f"theta_{probe.label}": f"misalignment of probe {probe.label}" for probe in probes}
+    return (*parameters, *free(rotated, radians(8), "rad"))
 
 
 def _signs(probe: Probe) -> tuple[int, int]:
@@ -344,24 +342,6 @@ def along(probes: tuple[Probe, ...], p: Mapping[str, ca.SX], x: ca.SX, y: ca.SX,
         (px, py), (nx, ny) = position(k, probe, p), direction(probe, p)
         rows.append(nx * x + ny * y + (px * ny - py * nx) * rz)
     return rows
-
-
-def _small_angle(probes: tuple[Probe, ...]) -> Step:
-    def step(s: Signals, p: Mapping[str, ca.SX]) -> None:
-        s["displacement"] = ca.vertcat(*along(probes, p, *(s[c] for c in POSE)))
-
-    return step
-
-
-def _gain(probes: tuple[Probe, ...]) -> Step:
-    def step(s: Signals, p: Mapping[str, ca.SX]) -> None:
-        s["gain"] = ca.vertcat(*(p[f"eta_{probe.label}"] for probe in probes))  # (14)
-
-    return step
-
-
-def _read_out(s: Signals, p: Mapping[str, ca.SX]) -> None:
-    s["reading"] = s["gain"] * s["displacement"]  # (13), (15)
 
 
 def _lever_arm(k: int, probe: Probe) -> Combination:

@@ -43,11 +43,10 @@ def vertical_offset_coupling(model: Model) -> Model:
     Displacement plus c . (Z, Rx, Ry), c per probe: probe lever arm, tilt of probe or magnet.
     """
     arms = {f"tilt_{{k}}_{c}": f"displacement of probe {{k}} per {c}" for c in stage.STATE}
-
-    def terms(s: Signals, p: P) -> Callable[[ca.SX, int], list[ca.SX]]:
-        return lambda u, k: [s[c] for c in stage.STATE]
-
-    return add_terms(model, "vertical_offset_coupling", "mechanics", SENSED, arms, terms, 1.0, "1")
+    return add_terms(
+        model, "vertical_offset_coupling", "mechanics", SENSED, arms,
+        lambda s, p: lambda u, k: [s[c] for c in stage.STATE], 1.0, "1",
+    )  # fmt: skip
 
 
 @effect(link="mechanics", unless=("exact_rotation",), separate="large Rz while x and y are off centre")

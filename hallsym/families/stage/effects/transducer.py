@@ -45,11 +45,10 @@ def height_quadratic(
     Gain gains e h^2 per probe, h the height of its place on a rigid stage, or six terms per probe.
     """
     state, pairs = stage.STATE, [(i, j) for i in range(3) for j in range(i, 3)]
+    bends = {f"bend_{{k}}_{i}{j}": f"term of the gain of probe {{k}} with {state[i]} {state[j]}"
+             for i, j in pairs}  # fmt: skip
     if form == "tied":
         bends = {"bend_{k}": "square term of the gain of probe {k} with its height"}
-    else:
-        bends = {f"bend_{{k}}_{i}{j}": f"term of the gain of probe {{k}} with {state[i]} {state[j]}"
-                 for i, j in pairs}  # fmt: skip
 
     def terms(s: Signals, p: P) -> Callable[[ca.SX, int], list[ca.SX]]:
         if form == "tied":
