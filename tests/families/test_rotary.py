@@ -18,9 +18,7 @@ from hallsym.families.cordic import cordic_angle
 from hallsym.families.published import table
 from hallsym.families.rotary import FAMILY
 from hallsym.families.rotary import models as family
-from hallsym.families.rotary.waves import Wave, cosine, sine
 from hallsym.log import Log
-from hallsym.model import Signals
 
 TURN = 2 * np.pi
 ANGLE = family.angle_only()
@@ -143,31 +141,6 @@ def test_harmonics_are_the_same_error_in_both_forms():
     angle = reading(family.harmonics(family.rotary(ANGLE)), v, a)[0]
     assert np.abs(wrap(np.arctan2(y, x) - angle)).max() < 1e-8  # third order of 3 mrad
     assert np.allclose(angle - a, 1e-3 * np.cos(3 * a) - 2e-3 * np.sin(5 * a) + 5e-4 * np.cos(8 * a))
-
-
-@given(st.lists(st.floats(-2, 2), min_size=8, max_size=8), st.floats(-3, 3), st.floats(-3, 3))
-@settings(max_examples=30, deadline=None)
-def test_waves_multiply_shift_and_differentiate_like_functions(c, at, ahead):
-    import casadi as ca
-
-    one = cosine() * c[0] + sine() * c[1] + c[2] + Wave({3: (ca.SX(c[3]), ca.SX(c[4]))})
-    two = cosine() * c[5] + sine() * sine() * c[6] + c[7]
-
-    def of(wave: Wave, angle: float) -> float:
-        s = Signals(("angle_rad",))
-        expression = ca.substitute(
-            wave.of(s, "angle_rad"),
-            ca.vertcat(*(k for k, _ in s.derived.values())),
-            ca.vertcat(*(e for _, e in s.derived.values())),
-        )
-        return float(ca.evalf(ca.substitute(expression, s["angle_rad"], angle)))
-
-    first = lambda x: c[0] * np.cos(x) + c[1] * np.sin(x) + c[2] + c[3] * np.cos(3 * x) + c[4] * np.sin(3 * x)  # noqa: E731
-    second = lambda x: c[5] * np.cos(x) + c[6] * np.sin(x) ** 2 + c[7]  # noqa: E731
-    assert of(one * two, at) == pytest.approx(first(at) * second(at), abs=1e-12)
-    assert of(one.ahead(ca.SX(ahead)), at) == pytest.approx(first(at + ahead), abs=1e-12)
-    slope = (first(at + 1e-6) - first(at - 1e-6)) / 2e-6
-    assert of(one.slope(), at) == pytest.approx(slope, abs=1e-7)
 
 
 # -- what is determined ----------------------------------------------------------------------------------

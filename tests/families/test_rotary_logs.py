@@ -203,11 +203,6 @@ def test_counts_become_angles(tmp_path):
     )
     same = hallsym.read_log(file, column_file=tmp_path / "c.toml")
     assert np.array_equal(same.array("angle_rad"), log.array("angle_rad"))
-    inline = '[columns]\nangle_count = {name = "raw", counts_per_turn = 4096}\nangle_ref_deg = "ref"\n'
-    (tmp_path / "d.toml").write_text(inline)
-    assert np.array_equal(
-        hallsym.read_log(file, column_file=tmp_path / "d.toml").array("angle_rad"), log.array("angle_rad")
-    )
     (tmp_path / "log").mkdir()
     file.rename(tmp_path / "log" / "log.csv")
     (tmp_path / "log" / "meta.json").write_text(json.dumps({"counts_per_turn": 4096}))
