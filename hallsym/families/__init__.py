@@ -54,8 +54,9 @@ def build(
     `InputError` that lists known names.
     """
     found = [(f, make) for f in (*FAMILIES, *families) if (make := f.maker(name))]
-    known = list(models(families))
-    require(found, "Model", f"one of {', '.join(known)}", name, known)
+    if not found:
+        known = list(models(families))
+        require(False, "Model", f"one of {', '.join(known)}", name, known)
     family, make = found[0]
     model = family.made(family.from_meta, make, meta or Meta())
     return adapted(model, added, parameters or {}, own)

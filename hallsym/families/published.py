@@ -42,7 +42,9 @@ def table(name: str) -> Mapping[str, tuple[Any, ...]]:
     `1/rad`, `1`). Numbers are floats, `setting` is an int, the rest is text.
     """
     files = {path.stem: path for path in data_folder().glob("*20??/*.csv")}
-    require(name in files, "A published table", "a file data/<publication>/<table>.csv", name, sorted(files))
+    if name not in files:
+        wanted = "a file data/<publication>/<table>.csv"
+        require(False, "A published table", wanted, name, sorted(files))
     with files[name].open(encoding="utf-8", newline="") as file:
         header, *rows = csv.reader(line for line in file if not line.startswith("#"))
     columns = dict(zip(header, zip(*rows, strict=True), strict=True))
@@ -52,8 +54,9 @@ def table(name: str) -> Mapping[str, tuple[Any, ...]]:
 def values(name: str) -> dict[str, float]:
     """Return parameter -> value in SI of a table of values: `table1_designed` or `table7_estimates`."""
     columns = table(name)
-    good, wanted = {"parameter", "value"} <= columns.keys(), "one with the columns parameter and value"
-    require(good, f"Published table {name}", wanted, list(columns))
+    if not {"parameter", "value"} <= columns.keys():
+        wanted = "one with the columns parameter and value"
+        require(False, f"Published table {name}", wanted, list(columns))
     return dict(zip(columns["parameter"], columns["value"], strict=True))
 
 

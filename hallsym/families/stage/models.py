@@ -126,8 +126,10 @@ def zero_deviation(model: Model) -> Model:
     One per probe and run, in m. They enter as displacement d_k = delta_k / phi_k(0); |delta_k| <= 10 um in
     the paper.
     """
-    meanings = {f"delta_{p.label}": f"zero deviation of probe {p.label} in a run" for p in model.layout}
-    offsets = free(meanings, 10e-6, "m")
+    offsets = tuple(
+        Parameter(f"delta_{p.label}", 0.0, -10e-6, 10e-6, "m", f"zero deviation of probe {p.label} in a run")
+        for p in model.layout
+    )
 
     def step(s: Signals, p: Mapping[str, ca.SX]) -> None:
         s["displacement"] = s["displacement"] + ca.vertcat(*(p[z.name] for z in offsets))
@@ -281,14 +283,20 @@ FARTHEST = 5.0
 
 
 def _check(probes: tuple[Probe, ...]) -> None:
+    if len(probes) < 3:
+        raise InputError(
+            f"The stage needs at least 3 probes to determine x, y and Rz; the layout has {len(probes)}."
+        )
     labels = [p.label for p in probes]
-    require(len(probes) >= 3, "A stage", "read by at least 3 probes to determine x, y and Rz", labels)
-    require(len(set(labels)) == len(labels), "Probe channels", "of different letters", labels)
+    if len(set(labels)) < len(labels):
+        raise InputError(f"Probe channels must have different letters; instead received {', '.join(labels)}.")
     for p in probes:
-        inside = np.abs([*p.position, *p.senses]) <= FARTHEST
-        require(inside.all(), f"Position of probe {p.channel}", f"finite, up to {FARTHEST:g} m", p.position)
-        length = p.senses[0] ** 2 + p.senses[1] ** 2
-        require(abs(length - 1) < 1e-6, f"'senses' of probe {p.channel}", "a unit vector", list(p.senses))
+        if not np.all(np.abs([*p.position, *p.senses]) <= FARTHEST):
+            raise InputError(f"Position, 'senses' of probe {p.channel} must be finite, up to {FARTHEST:g} m.")
+        if not abs(p.senses[0] ** 2 + p.senses[1] ** 2 - 1) < 1e-6:
+            raise InputError(
+                f"'senses' of probe {p.channel} must be a unit vector; instead received {list(p.senses)}."
+            )
     x, y, nx, ny = np.array([[*p.position, *p.senses] for p in probes]).T
     lever = x * ny - y * nx
     responses = np.column_stack([nx, ny, lever / max(np.abs(lever).max(), 1e-12)])
@@ -313,8 +321,11 @@ def _parameters(probes: tuple[Probe, ...], *, paper: bool) -> tuple[Parameter, .
     for label in (probe.label for probe in probes):
         low, high = bounds.get(f"eta_{label}", (0.55, 1.05))
         parameters.append(Parameter(f"eta_{label}", 1.0, low, high, "1", f"gain of probe {label} at Z = 0"))
-    rotated = {f"theta_{probe.label}": f"misalignment of probe {probe.label}" for probe in probes}
-    return (*parameters, *free(rotated, radians(8), "rad"))
+    limit = radians(8)
+    for label in (probe.label for probe in probes):
+        meaning = f"misalignment of probe {label}"
+        parameters.append(Parameter(f"theta_{label}", 0.0, -limit, limit, "rad", meaning))
+    return tuple(parameters)
 
 
 def _signs(probe: Probe) -> tuple[int, int]:
@@ -377,7 +388,7 @@ def from_meta(make: Callable[..., Model], meta: Meta) -> Model:
         good = isinstance(value, list) and len(value) == len(labels)
         require(good, f"Nominal '{key}'", f"a list of {len(labels)} numbers", value)
         nominal |= zip((f"{key.removesuffix('_rad')}_{k}" for k in labels), value, strict=True)
-    return started(model, nominal, stage31(layout), stage31_tied(layout))
+    return started(model, nominal, stage31(layout), stage31_tied(layout)) if nominal else model
 
 
 def _probe(entry: Mapping[str, Any]) -> Probe:
