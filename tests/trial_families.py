@@ -1,4 +1,4 @@
-"""Two families that hallsym does not know, written with its public names only: a 2-DOF and a 6-DOF array.
+"""A family that hallsym does not know, written with its public names only: an array over three sums.
 
 A magnet array of wavelength L moves over fixed sensors, L = 30 mm, lc = L / 2 pi. At the height z its field
 is exp(-z / lc) cos(x / lc), so one period of x looks like the next (Maguire, UBC 2015, section 2.2).
@@ -37,9 +37,6 @@ def phasor(v, p, channels):
     """Sine and cosine of three channels a third of a period apart, each times exp(-height / lc)."""
     b = [(v[k] - p[f"o{k}"]) / p[f"g{k}"] for k in channels]
     return [2 / 3 * sum(b_k * f(u) for b_k, u in zip(b, THIRDS, strict=True)) for f in (np.sin, np.cos)]
-
-
-# -- (a) two coordinates: three column sums ----------------------------------------------------------------
 
 
 def array_2dof(layout=None):
@@ -203,93 +200,3 @@ ARRAY = Family(
         noise={"col_0_v": 1e-4, "col_1_v": 1e-4, "col_2_v": 1e-4, "x_ref_m": 1e-7, "z_ref_m": 1e-7},
     ),
 )
-
-
-# -- (b) six coordinates: two arrays over twelve sensors ----------------------------------------------------
-
-PLACES = [(k * LENGTH / 3, side) for side in (-0.02, 0.02) for k in range(3)]
-"""Place of a sensor along and across the array that it sees [m]."""
-
-
-def array_6dof(layout=None):
-    """A mover with an array along x and one along y, each over two rows of three sensors; small rotations.
-
-    Within one period: a turned mover is not the same a period further.
-    """
-    channels = tuple(f"hall_{a}_{k}_v" for a in "xy" for k in range(6))
-
-    def field(s, p):
-        s["waves"] = []
-        for axis in "xy":
-            for k, (along, across) in enumerate(PLACES):
-                px, py = (along, across) if axis == "x" else (across, along)
-                dx, dy = px - s["x_m"], py - s["y_m"]
-                u = -(dx + s["rz_rad"] * dy) if axis == "x" else -(dy - s["rz_rad"] * dx)
-                height = s["z_m"] + s["rx_rad"] * dy - s["ry_rad"] * dx
-                fade = ca.exp(-height / LC)
-                s["waves"] += [
-                    [s.derive(f"{f.__name__} {axis}{k}", fade * f(u / LC)) for f in (ca.cos, ca.sin)]
-                ]
-        phases = [p[f"phase_{axis}"] for axis in "xy" for _ in PLACES]
-        s["field"] = ca.vertcat(*map(wave_of, s["waves"], phases))
-
-    def begin(v, p):
-        place, height = [], []
-        for j, axis in enumerate("xy"):
-            pairs = [phasor(v, p, range(6 * j + row, 6 * j + row + 3)) for row in (0, 3)]
-            sin, cos = (sum(part) / 2 for part in zip(*pairs, strict=True))
-            place.append(LC * (ca.atan2(sin, cos) - p[f"phase_{axis}"]))
-            height.append(-LC * ca.log(ca.hypot(sin, cos)))
-        return ca.vertcat(*place, sum(height) / 2, 0, 0, 0)
-
-    return Model(
-        name="array_6dof",
-        family=PLANE,
-        pose=("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"),
-        references=("x_ref_m", "y_ref_m", "z_ref_m", "rx_ref_rad", "ry_ref_rad", "rz_ref_rad"),
-        state=(),
-        channels=channels,
-        parameters=(
-            *gains_and_offsets(channels),
-            *(
-                Parameter(f"phase_{a}", 0.0, -2 * pi, 2 * pi, "rad", f"phase at the zero of {a}")
-                for a in "xy"
-            ),
-        ),
-        steps=(("field", field), ("electronics", amplified)),
-        period={c: LENGTH for a in "xy" for c in (f"{a}_m", f"{a}_ref_m")}
-        | {"phase_x": 2 * pi, "phase_y": 2 * pi},
-        begin=begin,
-        typical=tuple(
-            (k * LENGTH / 4, j * LENGTH / 4, 5e-3, 0.0, 0.0, 0.0) for k in range(4) for j in range(4)
-        ),
-    )
-
-
-PLANE = Family(
-    name="plane",
-    models=(array_6dof,),
-    readings=r"hall_\w+_v",
-    pose_metric=PoseMetric("m", arm_m=0.05),
-    example=Example(
-        campaign={
-            "step_s": 4e-3,
-            "run": [
-                {
-                    "duration_s": 1.0,
-                    "x_m": {"kind": "sine", "amplitude": 0.012, "frequency_hz": f},
-                    "y_m": {"kind": "sine", "amplitude": 0.012, "frequency_hz": 1.4 * f},
-                    "z_m": {"kind": "sine", "amplitude": 1e-3, "frequency_hz": 2.3 * f, "about": 5e-3},
-                    "rx_rad": {"kind": "sine", "amplitude": 5e-3, "frequency_hz": 1.9 * f},
-                    "ry_rad": {"kind": "sine", "amplitude": 5e-3, "frequency_hz": 2.9 * f},
-                    "rz_rad": {"kind": "sine", "amplitude": 5e-3, "frequency_hz": 3.1 * f},
-                }
-                for f in (1.0, 1.2, 1.5, 1.8, 2.2)
-            ],
-        },
-        values={"g0": 1.04, "g5": 0.97, "g7": 1.02, "o1": 2e-3, "o8": -1e-3, "phase_x": 0.4, "phase_y": -0.3},
-        noise={f"hall_{a}_{k}_v": 1e-4 for a in "xy" for k in range(6)}
-        | {f"{a}_ref_m": 1e-7 for a in "xyz"} | {f"r{a}_ref_rad": 1e-6 for a in "xyz"},
-    ),
-)  # fmt: skip
-TRIALS = (ARRAY, PLANE)

@@ -6,6 +6,9 @@ the model lacks, at a size that leaves so many times the noise floor.
 
 from __future__ import annotations
 
+import contextlib
+import json
+from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -163,10 +166,29 @@ def said(machine: str, kind: str, sigma: dict[str, float]) -> dict[str, float]:
     return {c: s for c, s in sigma.items() if c not in left_out}
 
 
-def done(call: Callable, settings: Sequence[tuple], workers: int) -> Iterator:
-    """Yield `call(*setting)` of each setting, in their order, on so many processes."""
-    if workers == 1:
-        yield from starmap(call, settings)
-        return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(call, *zip(*settings, strict=True))
+def options(text: str, logs: int, *more: Callable[[ArgumentParser], object]) -> Namespace:
+    """Return the options that all benchmarks of a diagnosis have; `more` adds those of one."""
+    parser = ArgumentParser(description=text.splitlines()[0])
+    parser.add_argument("--logs", type=int, default=logs, help="logs that are diagnosed")
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--workers", type=int, default=1, help="processes")
+    parser.add_argument("--out", help="file for the rows as JSON lines")
+    parser.add_argument("--quick", action="store_true", help="two logs, to see that everything runs")
+    for add in more:
+        add(parser)
+    chosen = parser.parse_args()
+    return Namespace(**vars(chosen) | ({"logs": 2} if chosen.quick else {}))
+
+
+def done(call: Callable[..., dict], settings: Sequence[tuple], chosen: Namespace) -> Iterator[dict]:
+    """Yield `call(*setting)` of each setting, in their order, and write it to the file that is asked for."""
+    with contextlib.ExitStack() as stack:
+        rows: Iterator[dict] = starmap(call, settings)
+        if chosen.workers > 1:
+            pool = ProcessPoolExecutor(chosen.workers, mp_context=get_context("spawn"))
+            rows = stack.enter_context(pool).map(call, *zip(*settings, strict=True))
+        for row in rows:
+            if chosen.out:
+                with open(chosen.out, "a", encoding="utf-8") as file:
+                    file.write(json.dumps(row) + "\n")
+            yield row

@@ -1,7 +1,8 @@
 """Does the stated 95 % interval of the shrinkage hold on runs that nobody has seen?
 
-    python tests/benchmarks/bench_diagnosis_coverage.py --gaps 40
+    python tests/benchmarks/bench_diagnosis_coverage.py --logs 40
     OPENBLAS_NUM_THREADS=1 python tests/benchmarks/bench_diagnosis_coverage.py --effects 2 --workers 2
+    python tests/benchmarks/bench_diagnosis_coverage.py --times 1.07 1.15
     python tests/benchmarks/bench_diagnosis_coverage.py --quick
 
 Each gap is one effect that the model lacks, at 1.07 to 3 times the noise floor, or two of different links of
@@ -13,14 +14,13 @@ log cannot tell from it. The interval of the coverage is that of Clopper and Pea
 
 from __future__ import annotations
 
-import argparse
-import json
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 from time import process_time
 
 import numpy as np
-from _noisy_logs import done, log_of
+from _noisy_logs import done, log_of, options
 from scipy.stats import binomtest
 
 from hallsym.diagnosis import examine, prepare
@@ -52,14 +52,14 @@ NOISE = ("white", "ar3")
 PRIME = 67
 
 
-def settings(effects: int, first: int, count: int) -> list[tuple]:
+def settings(effects: int, first: int, count: int, times: Sequence[float]) -> list[tuple]:
     """Return so many settings of one effect each, or of two."""
     numbers = range(first, first + count)
     if effects == 2:
-        every = [(m, pair, *rest) for *rest, (m, *pair) in product(CLEAR, RUNS, NOISE, PAIRS)]
+        every = [(m, pair, *rest) for *rest, (m, *pair) in product(times, RUNS, NOISE, PAIRS)]
         return [(*every[PRIME * k % len(every)], k) for k in numbers]
     return [
-        (machine, [(effect, start)], TIMES[k * 5 // 6 % 6], RUNS[k // 2 % 3], NOISE[k // 3 % 2], k)
+        (machine, [(effect, start)], times[k * 5 // 6 % len(times)], RUNS[k // 2 % 3], NOISE[k // 3 % 2], k)
         for k in numbers
         for machine, effect, start in [GAPS[k % len(GAPS)]]
     ]
@@ -137,21 +137,13 @@ def tried(machine, effects, times, runs, kind, seed) -> dict:
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--gaps", type=int, default=12)
-    parser.add_argument("--first", type=int, default=0, help="first seed")
-    parser.add_argument("--effects", type=int, default=1, choices=(1, 2), help="effects at once")
-    parser.add_argument("--workers", type=int, default=1, help="processes")
-    parser.add_argument("--out", help="file for the rows as JSON lines")
-    parser.add_argument("--quick", action="store_true", help="one gap, to see that everything runs")
-    arguments = parser.parse_args()
-    rows = []
-    drawn = settings(arguments.effects, arguments.first, 1 if arguments.quick else arguments.gaps)
-    for row in done(tried, drawn, arguments.workers):
-        rows.append(row)
-        if arguments.out:
-            with open(arguments.out, "a", encoding="utf-8") as file:
-                file.write(json.dumps(row) + "\n")
+    chosen = options(
+        __doc__, 12,
+        lambda p: p.add_argument("--effects", type=int, default=1, choices=(1, 2), help="effects at once"),
+        lambda p: p.add_argument("--times", nargs="+", type=float, help="gaps over the noise floor"),
+    )  # fmt: skip
+    times = chosen.times or (TIMES if chosen.effects == 1 else CLEAR)
+    rows = list(done(tried, settings(chosen.effects, chosen.first, chosen.logs, times), chosen))
     detected = [r for r in rows if "stated" in r]
     judged = [r for r in detected if r["interval"] is not None]
     held = [r["interval"][0] <= r["fresh"] <= r["interval"][1] for r in judged]
@@ -162,10 +154,10 @@ def main():
           f"overclaim median {np.median(over):+.3f}, largest {max(over):+.3f}; "
           f"width median {np.median([r['interval'][1] - r['interval'][0] for r in judged]):.3f}; "
           f"CPU {np.median([r['cpu'] for r in rows]):.2f} s")  # fmt: skip
-    for times in sorted({r["times"] for r in rows}):
-        own = [r for r in rows if r["times"] == times]
-        if own:
-            print(f"{times:5.2f} x: {sum('stated' in r for r in own)} of {len(own)} named")
+    for large, kind in sorted({(r["times"], r["kind"]) for r in rows}):
+        own = [r["all named"] for r in rows if (r["times"], r["kind"]) == (large, kind)]
+        low, high = binomtest(sum(own), len(own)).proportion_ci()
+        print(f"{large:5.2f} x, {kind:>5}: all named {sum(own)} of {len(own)} ({low:.0%} to {high:.0%})")
 
 
 if __name__ == "__main__":

@@ -11,12 +11,11 @@ own parameters take their part. The table says the gap over the noise floor, the
 
 from __future__ import annotations
 
-import argparse
-import json
+from collections import Counter
 from itertools import pairwise
 
 import numpy as np
-from _noisy_logs import MACHINES, done, log_of
+from _noisy_logs import MACHINES, done, log_of, options
 from scipy.signal import chirp, lfilter
 
 from hallsym.diagnosis import diagnose
@@ -116,24 +115,18 @@ def tried(machine: str, kind: str, runs: int, size: float, seed: int) -> dict:
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--runs", type=int, default=12, help="runs of each log")
-    parser.add_argument("--size", type=float, default=4.0, help="disturbance over the noise of a reading")
-    parser.add_argument("--first", type=int, default=0, help="first seed")
-    parser.add_argument("--workers", type=int, default=1, help="processes")
-    parser.add_argument("--out", help="file for the rows as JSON lines")
-    parser.add_argument("--quick", action="store_true", help="two logs, to see that everything runs")
-    arguments = parser.parse_args()
-    cases = [(m, k) for k in KINDS for m in MACHINES][: 2 if arguments.quick else None]
-    wrong = quiet = 0
-    settings = [(*case, arguments.runs, arguments.size, arguments.first + n) for n, case in enumerate(cases)]
-    for row in done(tried, settings, arguments.workers):
-        wrong, quiet = wrong + (row["verdict"] == "explained"), quiet + (row["verdict"] == "no gap")
+    chosen = options(
+        __doc__, 2 * len(KINDS),
+        lambda p: p.add_argument("--runs", type=int, default=12, help="runs of each log"),
+        lambda p: p.add_argument("--size", type=float, default=4.0, help="disturbance over the noise"),
+    )  # fmt: skip
+    cases = [(m, k) for k in KINDS for m in MACHINES][: chosen.logs]
+    settings = [(*case, chosen.runs, chosen.size, chosen.first + n) for n, case in enumerate(cases)]
+    verdicts = Counter()
+    for row in done(tried, settings, chosen):
+        verdicts[row["verdict"]] += 1
         print("{machine:>6} {kind:<30} {gap:6.2f} x  {verdict:<25} {named}".format(**row), flush=True)
-        if arguments.out:
-            with open(arguments.out, "a", encoding="utf-8") as file:
-                file.write(json.dumps(row) + "\n")
-    print(f'{len(cases)} logs: "explained" {wrong}, "no gap" {quiet}')
+    print(f'{len(cases)} logs: "explained" {verdicts["explained"]}, "no gap" {verdicts["no gap"]}')
 
 
 if __name__ == "__main__":

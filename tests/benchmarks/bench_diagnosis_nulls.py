@@ -18,14 +18,12 @@ machine and source of noise. The last line says the share of p < .05 of all logs
 
 from __future__ import annotations
 
-import argparse
-import json
 from collections import Counter
 from itertools import product
 from time import process_time
 
 import numpy as np
-from _noisy_logs import EVERY, KINDS, MACHINES, WRONGLY_STATED, done, log_of
+from _noisy_logs import EVERY, KINDS, MACHINES, WRONGLY_STATED, done, log_of, options
 from scipy.stats import binomtest, kstest
 
 from hallsym.diagnosis import diagnose
@@ -92,25 +90,14 @@ def summary(rows: list[dict]) -> str:
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--logs", type=int, default=24)
-    parser.add_argument("--first", type=int, default=0, help="first seed")
-    parser.add_argument("--kinds", nargs="+", choices=EVERY, default=EVERY, help="kinds of noise")
-    parser.add_argument(
-        "--runs", nargs="+", type=int, choices=(1, *RUNS), default=RUNS, help="numbers of runs"
-    )
-    parser.add_argument("--workers", type=int, default=1, help="processes")
-    parser.add_argument("--out", help="file for the rows as JSON lines")
-    parser.add_argument("--quick", action="store_true", help="two logs, to see that everything runs")
-    arguments = parser.parse_args()
-    rows = []
-    count = 2 if arguments.quick else arguments.logs
-    drawn = settings(count, arguments.first, arguments.kinds, arguments.runs)
-    for row in done(tried, drawn, arguments.workers):
-        rows.append(row)
-        if arguments.out:
-            with open(arguments.out, "a", encoding="utf-8") as file:
-                file.write(json.dumps(row) + "\n")
+    chosen = options(
+        __doc__, 24,
+        lambda p: p.add_argument("--kinds", nargs="+", choices=EVERY, default=EVERY, help="kinds of noise"),
+        lambda p: p.add_argument(
+            "--runs", nargs="+", type=int, choices=(1, *RUNS), default=RUNS, help="numbers of runs"
+        ),
+    )  # fmt: skip
+    rows = list(done(tried, settings(chosen.logs, chosen.first, chosen.kinds, chosen.runs), chosen))
     for row in rows:
         row["all"] = "all"
     for by in ("kind", "machine", "runs", "stated", "all"):

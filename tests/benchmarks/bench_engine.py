@@ -1,14 +1,12 @@
 """What the engine costs, each piece of work beside a peer in the same process.
 
     OPENBLAS_NUM_THREADS=1 python tests/benchmarks/bench_engine.py
-    python tests/benchmarks/bench_engine.py --quick
     python tests/benchmarks/bench_engine.py --only diagnosis
 
 `s`: processor seconds, the least of several turns where a turn is short. `peer`: what it is compared with, in
-processor seconds of the same process: for a fit of a log in memory Gauss-Newton as someone with numpy writes
-it, the offsets of each run eliminated, from the closed form of ours; for a fit from a file reading that file
-alone; for a diagnosis a direct fit of the same log. `MB`: peak memory of the process once work is done, of
-a diagnosis before its peer; it holds the log, numpy, scipy and CasADi too. Each row is a process of its own.
+processor seconds of the same process: for a fit from a file reading that file alone; for a diagnosis and for
+a fit of a fleet a direct fit of the same log. `MB`: peak memory of the process once work is done, of a
+diagnosis before its peer; it holds the log, numpy, scipy and CasADi too. Each row is a process of its own.
 """
 
 from __future__ import annotations
@@ -25,7 +23,7 @@ from typing import Any
 
 import numpy as np
 from _noisy_logs import log_of
-from bench_fit import MODEL, SIGMA, ByHand, gauss_newton, in_memory, least, refits
+from bench_fit import MODEL, SIGMA, in_memory, least
 
 from hallsym import diagnose, fit, read_log, write_log
 from hallsym.families import effect_named, published
@@ -38,7 +36,6 @@ from hallsym.simulation import Campaign, NoiseModel, Run, paper_campaign, simula
 AXES = {"x_m": 300e-6, "y_m": 500e-6, "rz_rad": 300e-6, "z_m": 1e-4, "rx_rad": 2e-4, "ry_rad": 2e-4}
 PACE = (1.0, 1.55, 1.25, 0.35, 0.45, 0.3)
 LATE_S = 1e-3
-TURNS = 7
 HALBACH = Path(__file__).parents[2] / "data" / "halbach"
 Row = tuple[float, float, str, float]
 """Processor seconds, those of the peer, what the peer is, and peak memory [MB]."""
@@ -69,39 +66,6 @@ def moving(runs: int, samples: int, speed: float, step_s: float) -> Log:
     return Log.from_arrays(columns, Noise.given(SIGMA, tuple(columns)))
 
 
-def direct(samples: int, stated: bool) -> Row:
-    """A direct fit of a log in memory."""
-    columns = campaign(samples)
-    exact = in_memory(columns, exact=True)
-    known = fit(exact, MODEL, solver="direct", loss="none")
-    task = ByHand(exact)
-    seconds, cost = least(TURNS, lambda: gauss_newton(task))
-    assert abs(cost / known.solver.cost - 1) < 1e-9
-
-    def ours() -> Any:
-        log = in_memory(columns) if stated else Log.from_arrays(columns)
-        return fit(log, MODEL, solver="direct")
-
-    ours()
-    return least(TURNS, ours)[0], seconds, "Gauss-Newton by hand", peak()
-
-
-def hybrid(samples: int) -> Row:
-    """The default fit."""
-    columns = campaign(samples)
-    fit(in_memory(columns), MODEL)
-    seconds, _ = least(TURNS, lambda: fit(in_memory(columns), MODEL))
-    most = peak()
-    return seconds, least(TURNS, lambda: fit(in_memory(columns), MODEL, solver="direct"))[0], "direct", most
-
-
-def refitted(samples: int) -> Row:
-    """A refit to runs drawn with replacement."""
-    columns = campaign(samples)
-    peer, found = least(TURNS, lambda: fit(in_memory(columns), MODEL, solver="direct"))
-    return least(TURNS, lambda: refits(found, 200))[0] / 200, peer, "direct", peak()
-
-
 def from_file(samples: int, suffix: str, fitted: bool) -> Row:
     """Read a file, and fit what it holds."""
     columns = campaign(samples)
@@ -125,7 +89,7 @@ def from_file(samples: int, suffix: str, fitted: bool) -> Row:
             )
 
         ours()
-        return least(TURNS, ours)[0], least(TURNS, bare)[0], "reading alone", peak()
+        return least(7, ours)[0], least(7, bare)[0], "reading alone", peak()
 
 
 def diagnosed(log: Log) -> Row:
@@ -194,10 +158,6 @@ def written(folder: str, how: tuple) -> None:
 
 
 WORK: dict[str, tuple[str, Callable[..., Row], tuple]] = {
-    "direct fit 57 x 500, noise stated": ("1.5", direct, (500, True)),
-    "direct fit 57 x 500, noise not stated": ("2.5", direct, (500, False)),
-    "hybrid 57 x 500": ("50 ms", hybrid, (500,)),
-    "refit 57 x 500": ("2 ms", refitted, (500,)),
     "57 x 5000 from Parquet": ("3.5", from_file, (5000, "parquet", True)),
     "62 MB of CSV, read": ("450 ms", from_file, (6000, "csv", False)),
     "fleet, one encoder": ("11 ms", quick_fit, ("rotary",)),
@@ -221,11 +181,9 @@ def measured(name: str) -> Row:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", default="", help="rows whose name holds this")
-    parser.add_argument("--quick", action="store_true", help="fits of logs in memory alone")
     asked = parser.parse_args()
-    chosen = [name for name in WORK if asked.only in name and (not asked.quick or "57 x 500" in name)]
     print("| work | s | peer | s | x | wanted | MB |\n|---|---|---|---|---|---|---|")
-    for name in chosen:
+    for name in (name for name in WORK if asked.only in name):
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
             seconds, peer, what, most = pool.submit(measured, name).result()
         ratio = f"{what} | {peer:.3g} | {seconds / peer:.3g}"

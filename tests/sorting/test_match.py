@@ -12,9 +12,9 @@ from hallsym.sorting import match_sensors, sort_sensors
 from hallsym.sorting.influence import influence_of_gains, is_symmetric, without_common
 from hallsym.uncertainty.tolerances import Workspace
 from tests.sorting.benches import bench
-from tests.trial_families import LC, array_2dof, array_6dof
+from tests.trial_families import LC, array_2dof
 
-MODELS = (array_2dof(), array_6dof(), hallsym.build("stage31"), hallsym.build("rotary"))
+MODELS = (array_2dof(), hallsym.build("halbach_planar"), hallsym.build("stage31"), hallsym.build("rotary"))
 
 
 def inventory(n, seed=0, spread=0.02):
@@ -41,12 +41,10 @@ def test_the_form_is_the_decoders_own_error(model):
     )
 
 
-@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
+@pytest.mark.parametrize("model", [m for m in MODELS if m.name != "halbach_planar"], ids=lambda m: m.name)
 def test_what_a_gain_multiplies_is_what_its_parameters_do(model):
     """A machine whose gain parameters of a channel are 1 % larger reads what the influence says."""
-    names = {"array_2dof": ("g1",), "array_6dof": ("g1",), "rotary": ("Ax",)}.get(
-        model.name, ("eta_B", "a_B", "b_B", "c_B")
-    )
+    names = {"array_2dof": ("g1",), "rotary": ("Ax",)}.get(model.name, ("eta_B", "a_B", "b_B", "c_B"))
     influence = influence_of_gains(model)
     machine = influence.values.copy()
     for name in names:
