@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import FrameType
-from typing import Any, NoReturn
+from typing import Any
 from unittest.mock import patch
 
 import lab_files
@@ -498,58 +498,23 @@ def inside(folder: Path) -> Iterator[None]:
         os.chdir(before)
 
 
-MOST_MEMORY = 2 << 20
-"""Kilobytes that neither a command nor a process that decodes for it may take."""
-
-
 def run(number: int, first: int) -> int:
-    """Damage `number` files, with seeds from `first` on, and print what came of each; 1 where any is a fault.
-
-    The cases run in a process of their own, after whose death the next one goes on.
-    """
+    """Damage `number` files, seeds from `first` on, and print what came of them; 1 where any is a fault."""
     counts: Counter[str] = Counter()
-    faults: list[str] = []
+    faults = 0
     with tempfile.TemporaryDirectory() as folder:
-        workshop, next_one = Workshop(Path(folder)), 0
-        while next_one < number:
-            read, write = os.pipe()
-            child = os.fork()
-            if child == 0:
-                _cases(workshop, range(next_one, number), first, write)
-            os.close(write)
-            for line in os.fdopen(read):
-                next_one, kind, fault = json.loads(line)
-                next_one += 1
-                counts[kind] += 1
-                faults += [fault] if fault else []
-                if fault or next_one % 500 == 0:
-                    print(next_one, fault, flush=True)
-            if code := os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]):
-                faults.append(f"case {next_one} died: {code}")
-                print(faults[-1], flush=True)
-                next_one += 1
-    print(dict(counts), f"{len(faults)} faults in {number} files")
+        workshop = Workshop(Path(folder))
+        for k in range(number):
+            found = workshop.case(targets()[k % len(targets())], first + k // len(targets()))
+            counts[found.kind] += 1
+            faults += bool(found.fault)
+            if found.fault or k % 500 == 499:
+                print(k + 1, found if found.fault else "", flush=True)
+    end_decoders()  # only then is their memory counted
+    taken = [resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    print(f"{dict(counts)}: {faults} faults in {number} files; at most {taken} kB, here and in decoders")
     return 1 if faults else 0
 
-
-def _cases(workshop: Workshop, cases: range, first: int, pipe: int) -> NoReturn:
-    """Judge cases, write each outcome to a pipe as it is known, and end this process."""
-    with os.fdopen(pipe, "w") as stream:
-        for k in cases:
-            found = workshop.case(targets()[k % len(targets())], first + k // len(targets()))
-            fault = found.fault and repr(found)
-            if k == cases[-1]:
-                end_decoders()  # only then is their memory counted
-                taken = [resource.getrusage(who).ru_maxrss for who in WHO]
-                print(f"at most {taken} kB, here and in processes that decode")
-                fault = fault or ("" if max(taken) < MOST_MEMORY else f"{taken} kB")
-            stream.write(json.dumps([k, found.kind, fault]) + "\n")
-            stream.flush()
-    sys.stdout.flush()
-    os._exit(0)
-
-
-WHO = resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN
 
 if __name__ == "__main__":
     sys.exit(run(int(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 0))

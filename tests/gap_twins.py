@@ -34,7 +34,6 @@ class Motion:
     share: float
     reading: np.ndarray | None = None
     felt: np.ndarray | None = None
-    across: np.ndarray | None = None
     reference: np.ndarray | None = None
 
 
@@ -110,15 +109,14 @@ def _run(t: np.ndarray, start: float, pose: np.ndarray, state: np.ndarray, share
     return Motion(t, start, pose, state, warm, share)
 
 
-def felt(pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement of each probe along and across its axis."""
+def felt(pose: np.ndarray) -> np.ndarray:
+    """Displacement of each probe along its axis."""
     v = TRUTH
     place = np.array([[v["H1x"], v["H1y"]], [-v["H2x"], v["H2y"]], [v["H3x"], v["H3y"]]])
-    angle = np.array([v["theta_A"] + np.pi / 2, v["theta_B"] + np.pi / 2, v["theta_C"]])
+    angle = np.array([v["theta_A"] + np.pi / 2, v["theta_B"] + np.pi / 2, v["theta_C"]])[:, None]
     dx = pose[0] - place[:, 1:] * pose[2]
     dy = pose[1] + place[:, :1] * pose[2]
-    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    return c * dx + s * dy, -s * dx + c * dy
+    return np.cos(angle) * dx + np.sin(angle) * dy
 
 
 def gains(state: np.ndarray) -> np.ndarray:
@@ -147,7 +145,7 @@ def machine(
     bend, cubic = rng.normal(0, 1.5e4 * curvature, 3), rng.normal(0, 2e-3 * curvature, 3)
     columns: dict[str, list[np.ndarray]] = {}
     for number, run in enumerate(runs):
-        run.felt, run.across = felt(run.pose)
+        run.felt = felt(run.pose)
         run.felt = run.felt + rng.normal(0, 1e-6, 3)[:, None]
         run.felt = run.felt + cubic[:, None] * run.felt**3 / 0.25e-6
         run.reference = run.pose.copy()
@@ -187,8 +185,6 @@ def effect_late(effect: Inject, run: Motion, out: dict[str, np.ndarray], rng: np
 
 def _noise(rng: np.random.Generator, n: int, kind: str, pink: float) -> np.ndarray:
     white = rng.standard_normal(n)
-    if kind == "heavy":
-        white = rng.standard_t(4, n) / np.sqrt(2)
     if kind == "correlated":
         drive = rng.standard_normal(n + 50)
         out = np.empty(n + 50)
@@ -228,10 +224,9 @@ def listed(rng: np.random.Generator) -> Mapping[str, Inject]:
     """One draw of every effect, about twice the noise floor where it shows at all."""
     w = lambda: rng.uniform(0.5, 1.0, 3)[:, None] * rng.choice([-1.0, 1.0])  # noqa: E731
     free = lambda *s: rng.normal(0, 1, s)  # noqa: E731
-    a, b, c3 = w(), free(3, 1), free(3, 3)
+    a, _, c3 = w(), free(3, 1), free(3, 3)
     slip, when, who = rng.uniform(0.01, 0.02), rng.uniform(0.3, 0.7), int(rng.integers(3))
     hum, phase = rng.choice([50.0, 60.0]) + rng.uniform(-0.05, 0.05), rng.uniform(0, 6.28, 3)[:, None]
-    arms = free(2) * 0.02
 
     def play(m: Motion) -> np.ndarray:
         width, out = 6e-5, np.zeros_like(m.reading)
@@ -240,10 +235,6 @@ def listed(rng: np.random.Generator) -> Mapping[str, Inject]:
             p = np.clip(p, m.reading[:, k] - width, m.reading[:, k] + width)
             out[:, k] = (p - m.reading[:, k]) / width
         return 3e-6 * np.abs(a) * out
-
-    def abbe(m: Motion, _: np.random.Generator) -> None:
-        m.reference[0] += arms[0] * m.state[2]
-        m.reference[1] += arms[1] * m.state[1]
 
     def drift(m: Motion, _: np.random.Generator) -> None:
         m.reference += 4e-6 * c3[:, :1] / 4 * m.t
@@ -259,22 +250,6 @@ def listed(rng: np.random.Generator) -> Mapping[str, Inject]:
         dy = (py + y) * (np.cos(rz) - 1) + (px + x) * np.sin(rz) - px * rz
         return gains(m.state) * (np.cos(angle) * dx + np.sin(angle) * dy)
 
-    def lag(tau: float) -> Callable[[Motion], np.ndarray]:
-        def filtered(m: Motion) -> np.ndarray:
-            memory, state, out = (
-                np.exp(-STEP / tau),
-                m.reading[:, 0] - tau * _d(m.reading)[:, 0],
-                np.empty_like(m.reading),
-            )
-            for k in range(m.reading.shape[1]):
-                u0 = m.reading[:, max(k - 1, 0)]
-                slope = (m.reading[:, k] - u0) / STEP
-                state = memory * (state - u0 + tau * slope) + m.reading[:, k] - tau * slope if k else state
-                out[:, k] = state
-            return out - m.reading
-
-        return filtered
-
     def skew(m: Motion) -> np.ndarray:
         r = m.reading
         return 1.0e-3 * -_d(r) + 0.5e-6 * _d(r, 2) - 1e-9 / 6 * _d(r, 3)
@@ -283,19 +258,14 @@ def listed(rng: np.random.Generator) -> Mapping[str, Inject]:
         "height_quadratic": add(lambda m: a * 3e5 * m.state[0] ** 2 * m.felt),
         "odd_nonlinearity": add(lambda m: a * 0.02 * m.felt**3 / U**2),
         "even_nonlinearity": add(lambda m: a * 0.02 * m.felt**2 / U),
-        "cross_axis_sensitivity": add(lambda m: (a * 0.02 * m.across**2 + 0.02 * b * m.felt * m.across) / U),
-        "vertical_offset_coupling": add(lambda m: 0.015 * c3 @ m.state),
         "time_skew": add(skew),
-        "first_order_lag": add(lag(1.0e-3)),
         "hysteresis": add(play),
         "gain_temperature_drift": add(lambda m: a * 2e-3 * (m.temperature - 20) * m.felt),
-        "offset_temperature_drift": add(lambda m: b * 3e-6 * (m.temperature - 20)),
         "gain_time_drift": add(lambda m: a * 0.02 * (1 - np.exp(-3 * (m.share))) * m.felt),
         "mount_slip": add(lambda m: (np.arange(3) == who)[:, None] * (m.share > when) * slip * m.felt),
         "motor_stray_field": add(lambda m: 6e-6 * 0.5 * c3 @ _d(m.pose, 2)),
         "mains_hum": add(lambda m: 0.9e-6 * np.sin(2 * np.pi * hum * (m.start + m.t) + phase)),
         "saturation": add(lambda m: np.clip(m.reading, -2.4e-4, 2.4e-4) - m.reading),
-        "reference_abbe_error": abbe,
         "reference_drift": drift,
         "second_order_rotation": add(turned),
     }
@@ -316,16 +286,6 @@ def faulty(rng: np.random.Generator) -> Mapping[str, Inject]:
             out[c] = out[c] + hit * rng.choice([-1, 1], len(m.t)) * 2e-5
 
     @late
-    def dropped(m: Motion, rng: np.random.Generator, out: dict) -> None:
-        age = np.zeros(len(m.t), int)
-        for k in np.flatnonzero(rng.random(len(m.t)) < 0.01):
-            length = int(rng.integers(1, 6))
-            age[k : k + length] = np.arange(1, length + 1)[: len(age[k : k + length])]
-        source = np.maximum(np.arange(len(m.t)) - age, 0)
-        for c in halls:
-            out[c] = out[c][source]
-
-    @late
     def jitter(m: Motion, rng: np.random.Generator, out: dict) -> None:
         shift = 6e-4 * rng.standard_normal(len(m.t))
         for row, c in zip(_d(m.reading), halls, strict=True):
@@ -338,7 +298,6 @@ def faulty(rng: np.random.Generator) -> Mapping[str, Inject]:
 
     return {
         "outliers": outliers,
-        "dropped_samples": dropped,
         "clock_jitter": jitter,
         "adc_quantisation": steps,
     }

@@ -13,7 +13,6 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from inspect import signature
 from time import process_time
 
 import numpy as np
@@ -220,8 +219,7 @@ class Outcome:
 
     `ends`: "refusal", or the exit code. `harm`: of the calibration on healthy readings; `own`: on the columns
     as they were recorded, where a controller that reads the same would use it; None where nothing was fitted.
-    `verdict`: as the function of that name says; of a healthy log false, noted or ok. `obeyed`: harm of the
-    calibration that a fit gives when the first correction is applied.
+    `verdict`: as the function of that name says; of a healthy log false, noted or ok.
     """
 
     case: str
@@ -236,21 +234,17 @@ class Outcome:
     said: str
     seconds: float
     verdict: str = ""
-    obeyed: float | None = None
 
     @property
     def record(self) -> dict:
         return asdict(self)
 
 
-OBEYS = "corrections" in signature(hallsym.fit).parameters
-
-
-def told(r: Recording, **more):
+def told(r: Recording):
     """Fit a recording -> (fit, or the refusal; how it ends; what is said; seconds)."""
     began = process_time()
     try:
-        fit = hallsym.fit(r.log, r.model, effects=r.effects, parameters=r.parameters, solver="direct", **more)
+        fit = hallsym.fit(r.log, r.model, effects=r.effects, parameters=r.parameters, solver="direct")
     except InputError as error:
         return error, "refusal", str(error), process_time() - began
     with contextlib.redirect_stderr(io.StringIO()) as out:
@@ -259,16 +253,6 @@ def told(r: Recording, **more):
     return fit, str(code), " | ".join(x for x in (out.getvalue(), amiss, *fit.notes) if x), (
         process_time() - began
     )  # fmt: skip
-
-
-def claims_of(fit) -> list[dict]:
-    """Return claims as dicts, whatever the type they have."""
-
-    def get(c, k):
-        return c.get(k) if isinstance(c, dict) else getattr(c, k, None)
-
-    keys = ("name", "columns", "runs", "text", "correction", "explains", "rivals")
-    return [{k: get(c, k) for k in keys} for c in getattr(fit, "claims", ())]
 
 
 def judged(kind: str, family: str, seed: str, size: Size | None = None) -> Outcome:
@@ -281,7 +265,7 @@ def judged(kind: str, family: str, seed: str, size: Size | None = None) -> Outco
 def judged_mistake(m: Mistaken) -> Outcome:
     """Fit a mistaken log and judge what is said of it."""
     fit, ends, said, seconds = told(m.recording)
-    claims = claims_of(fit)
+    claims = [asdict(one) for one in getattr(fit, "claims", ())]
     first = next((c["correction"] for c in claims if c["correction"]), None)
     r = m.recording
     healthy = {**r.true}
@@ -292,9 +276,6 @@ def judged_mistake(m: Mistaken) -> Outcome:
         own = hurt if m.runs else harm(fit, r, recorded)
     out = Outcome(m.case, m.kind, r.family, m.right, ends, hurt, own, first, claims, said, seconds)
     out.verdict = verdict(m, out)
-    if first and OBEYS:
-        again, ends, *_ = told(r, corrections=[first])
-        out.obeyed = None if ends == "refusal" else harm(again, r, healthy)
     return out
 
 
@@ -344,7 +325,7 @@ def verdict(m: Mistaken, out: Outcome) -> str:
 def judged_healthy(case: str, kind: str, r: Recording) -> Outcome:
     """Fit a healthy log; a claim with a correction, or a refusal, is false."""
     fit, ends, said, seconds = told(r)
-    claims = claims_of(fit)
+    claims = [asdict(one) for one in getattr(fit, "claims", ())]
     first = next((c["correction"] for c in claims if c["correction"]), None)
     out = Outcome(case, kind, r.family, (), ends, None, None, first, claims, said, seconds)
     out.verdict = "false" if first or ends == "refusal" else "ok" if ends == "0" and not claims else "noted"
@@ -357,32 +338,11 @@ FELT = ("right", "rival", "equal", "wrong", "noticed", "silent", "consistent")
 """Verdicts of mistakes that are neither harmless nor what another machine records."""
 
 
-@dataclass(frozen=True)
-class Rates:
-    """Shares of the mistakes that are felt, and of the healthy logs; `wrong` is a number of cases."""
+def rates(rows: Sequence[Outcome]) -> dict[str, float]:
+    """Return numbers of cases, and shares of the mistakes that are felt and of the healthy logs.
 
-    mistakes: int
-    felt: int
-    right: float
-    noticed: float
-    silent: float
-    consistent: float
-    wrong: int
-    healthy: int
-    false: float
-
-    def __str__(self) -> str:
-        of_mistakes = (
-            f"{self.mistakes} mistakes, {self.felt} of them felt: right remedy {self.right:.1%}, noticed "
-            f"{self.noticed:.1%}, silent and wrong {self.silent:.1%} (and {self.consistent:.1%} consistent), "
-            f"wrong remedies {self.wrong}"
-        )
-        of_healthy = f"{self.healthy} healthy logs: false claims {self.false:.1%}"
-        return "; ".join(([of_mistakes] if self.mistakes else []) + ([of_healthy] if self.healthy else []))
-
-
-def rates(rows: Sequence[Outcome]) -> Rates:
-    """Count verdicts. A right remedy among rivals that the log cannot tell apart is a right one."""
+    A right remedy among rivals that the log cannot tell apart is a right one.
+    """
     count = Counter(row.verdict for row in rows)
     healthy = count["ok"] + count["noted"] + count["false"]
     felt = sum(count[v] for v in FELT)
@@ -390,14 +350,9 @@ def rates(rows: Sequence[Outcome]) -> Rates:
     def share(*verdicts):
         return sum(count[v] for v in verdicts) / max(1, felt)
 
-    return Rates(
-        mistakes=len(rows) - healthy,
-        felt=felt,
-        right=share("right", "rival", "equal"),
-        noticed=1 - share("silent", "consistent"),
-        silent=share("silent"),
-        consistent=share("consistent"),
-        wrong=count["wrong"],
-        healthy=healthy,
-        false=count["false"] / max(1, healthy),
-    )
+    return {
+        "mistakes": len(rows) - healthy, "felt": felt, "right": share("right", "rival", "equal"),
+        "noticed": 1 - share("silent", "consistent"), "silent": share("silent"),
+        "consistent": share("consistent"), "wrong": count["wrong"], "healthy": healthy,
+        "false": count["false"] / max(1, healthy),
+    }  # fmt: skip

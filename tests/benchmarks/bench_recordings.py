@@ -112,7 +112,8 @@ def report(rows: list[Outcome]) -> None:
     table(rows, "kind", verdicts)
     table(rows, "family", verdicts)
     listing(rows)
-    print(f"\n{rates(rows)}; CPU {sum(r.seconds for r in rows):.0f} s")
+    print(*(f"{name} {value:.3g}" for name, value in rates(rows).items()), sep=", ")
+    print(f"CPU {sum(r.seconds for r in rows):.0f} s")
 
 
 if __name__ == "__main__":

@@ -32,10 +32,10 @@ def test_corrections_are_compared_by_what_they_do() -> None:
 def test_rates_of_mistakes() -> None:
     drawn = [case for case in cases(SEED) if case[1] in QUICK][::EVERY]
     found = rates([judged(*case, SMALL) for case in drawn])
-    assert found.noticed >= 0.9, found
-    assert found.silent <= 0.08, found
-    assert found.right >= 0.5, found
-    assert found.wrong <= 0.08 * found.felt, found
+    assert found["noticed"] >= 0.9, found
+    assert found["silent"] <= 0.08, found
+    assert found["right"] >= 0.5, found
+    assert found["wrong"] <= 0.08 * found["felt"], found
 
 
 @pytest.mark.slow
@@ -101,4 +101,4 @@ def test_runs_that_effects_make_differ_are_not_of_another_device(kind: str, fami
 def test_no_claim_of_a_mistake_in_healthy_logs() -> None:
     drawn = [case for case in healthy_cases(SEED) if case[1] in QUICK][::4]
     found = rates([judged(*case) for case in drawn])
-    assert found.false == 0, found
+    assert found["false"] == 0, found
