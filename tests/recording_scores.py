@@ -235,10 +235,6 @@ class Outcome:
     seconds: float
     verdict: str = ""
 
-    @property
-    def record(self) -> dict:
-        return asdict(self)
-
 
 def told(r: Recording):
     """Fit a recording -> (fit, or the refusal; how it ends; what is said; seconds)."""

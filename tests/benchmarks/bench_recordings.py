@@ -3,8 +3,6 @@
     python tests/benchmarks/bench_recordings.py                              a tenth of all cases
     python tests/benchmarks/bench_recordings.py --seed 1 --part 1/1          all
     python tests/benchmarks/bench_recordings.py --seed 1 --part 1/1 --families rotary --kinds "sign of"
-    python tests/benchmarks/bench_recordings.py --seed 1 --part 1/4 --json part1.jsonl
-    python tests/benchmarks/bench_recordings.py --tables part1.jsonl part2.jsonl
     python tests/benchmarks/bench_recordings.py --only "sign of a reading, run/rotary/1.0"
     python tests/benchmarks/bench_recordings.py --healthy --part 1/1
 
@@ -22,10 +20,10 @@ from __future__ import annotations
 
 import argparse
 import json
-import signal
 import sys
 from collections import Counter
 from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -56,10 +54,6 @@ def listing(rows: list[Outcome]) -> None:
             print(f"{kind}: --only {row.case!r};{numbers}{right} said: {row.first or row.said[:150]}")
 
 
-def too_slow(*_: object) -> None:
-    raise TimeoutError("it took longer than --seconds")
-
-
 def chosen(options: argparse.Namespace) -> list[tuple[str, str, str]]:
     """Return the cases that the options choose."""
     if options.only:
@@ -80,29 +74,17 @@ def main() -> None:
     parser.add_argument("--families", nargs="+", choices=recordings.FAMILIES, default=recordings.FAMILIES)
     parser.add_argument("--part", default="1/10", help="k/m: the k-th of m parts of the cases (1/10)")
     parser.add_argument("--only", nargs="+", metavar="CASE", help="KIND/FAMILY/SEED, as a listing names it")
-    parser.add_argument("--json", metavar="OUT", help="file for the outcomes, one a line")
-    parser.add_argument("--seconds", type=float, default=0, help="processor time a case may take")
-    parser.add_argument("--tables", nargs="+", metavar="FILE", help="of outcomes that were written before")
     options = parser.parse_args()
-    if options.tables:
-        lines = [line for file in options.tables for line in Path(file).read_text("utf-8").splitlines()]
-        report([Outcome(**json.loads(line)) for line in lines])
-        return
-    signal.signal(signal.SIGPROF, too_slow)
     rows = []
     for case in chosen(options):
-        signal.setitimer(signal.ITIMER_PROF, options.seconds)
         try:
             row = judged(*case)
         except Exception as error:  # a bug of hallsym is an outcome, the others are wanted all the same
             print(f"FAILED: --only {'/'.join(case)!r}: {error!r}", flush=True)
             continue
         rows.append(row)
-        if options.json:
-            with open(options.json, "a", encoding="utf-8") as file:
-                file.write(json.dumps(row.record, default=str) + "\n")
         if options.only:
-            print(json.dumps(row.record, indent=1, default=str))
+            print(json.dumps(asdict(row), indent=1, default=str))
     report(rows)
 
 

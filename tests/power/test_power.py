@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from gap_twins import Inject, Motion, U, gains, machine
+from gap_twins import Inject, U, add, gains, machine
 
 import hallsym
 from hallsym import NoiseModel
@@ -237,37 +237,21 @@ def test_the_command(monkeypatch, tmp_path, capsys) -> None:
 # -- it agrees with what a diagnosis then finds ------------------------------------------------------------
 
 
-def cubic(size: dict[str, float]) -> Inject:
-    """The cubic field typed a second time; `size` by probe."""
+def bent(size: dict[str, float], order: int) -> Inject:
+    """A power of the reading typed a second time; `size` by probe."""
     c = np.array([size[k] for k in "ABC"])[:, None]
-
-    def inject(m: Motion, _: np.random.Generator) -> None:
-        m.reading = m.reading + gains(m.state) * c * m.felt**3 / U**2
-
-    return inject
+    return add(lambda m: gains(m.state) * c * m.felt**order / U ** (order - 1))
 
 
-def squared(size: dict[str, float]) -> Inject:
-    c = np.array([size[k] for k in "ABC"])[:, None]
-
-    def inject(m: Motion, _: np.random.Generator) -> None:
-        m.reading = m.reading + gains(m.state) * c * m.felt**2 / U
-
-    return inject
-
-
-TYPED = {
-    "odd_nonlinearity": ("odd_nonlinearity3_", cubic),
-    "even_nonlinearity": ("even_nonlinearity2_", squared),
-}
+TYPED = {"odd_nonlinearity": 3, "even_nonlinearity": 2}
 
 
 def kept(s: DetectionPower, name: str, campaign: str, seed: int, **options) -> None:
     """What is found at a size must be found at twice that size in fresh logs, injected by other code."""
-    row, (prefix, inject) = s.effect(name), TYPED[name]
+    row, order = s.effect(name), TYPED[name]
     assert row.status == "found", (name, row)
-    size = {k.removeprefix(prefix): 2 * v for k, (v, _) in row.size.items()}
-    found = diagnose(machine(campaign, (inject(size),), seed=seed, **options))
+    size = {k.removeprefix(f"{name}{order}_"): 2 * v for k, (v, _) in row.size.items()}
+    found = diagnose(machine(campaign, (bent(size, order),), seed=seed, **options))
     assert (found.verdict, found.ranked[0]) == ("explained", name)
 
 

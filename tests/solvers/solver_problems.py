@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import casadi
 import numpy as np
-from nist import derivatives
+from nist import MODELS, derivatives, sets
 
 from solvers import Problem
 
@@ -90,18 +90,16 @@ HS5 = _known(
     [0.0, 0.0],
 )
 
-# NIST StRD, Misra1a: y = b1 (1 - exp(-b2 x)); certified values to 11 digits, the first of NIST's starts.
-MISRA_X = [77.6, 114.9, 141.1, 190.8, 239.9, 289.0, 332.8, 378.4, 434.8, 477.3, 536.8, 593.1, 689.1, 760.0]
-MISRA_Y = [10.07, 14.73, 17.94, 23.93, 29.61, 35.18, 40.02, 44.82, 50.76, 55.05, 61.01, 66.40, 75.47, 81.78]
+MISRA = sets()["Misra1a"]
 MISRA1A = _known(
     "misra1a",
     2,
-    lambda b: casadi.sumsqr(casadi.DM(MISRA_Y) - b[0] * (1 - casadi.exp(-b[1] * casadi.DM(MISRA_X)))),
+    lambda b: casadi.sumsqr(casadi.DM(MISRA.y) - MODELS["Misra1a"](casadi.vertsplit(b), casadi.DM(MISRA.x))),
     [0.0, 0.0],
     [1000.0, 0.01],
-    [2.3894212918e02, 5.5015643181e-04],
-    1.2455138894e-01,
-    [500.0, 0.0001],
+    MISRA.values.tolist(),
+    MISRA.rss,
+    MISRA.starts[0].tolist(),
 )
 
 GLOBAL = (SPHERE, ROSENBROCK, HS4, HS5, MISRA1A)

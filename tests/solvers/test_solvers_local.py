@@ -26,16 +26,9 @@ def test_known_optima(method, known):
     assert result.x == pytest.approx(known.x, rel=1e-6, abs=2e-3 if known.name == "hs3" else 1e-5)
     assert (problem.lower <= result.x).all()
     assert (result.x <= problem.upper).all()
-
-
-@each_method
-@pytest.mark.parametrize("known", LOCAL, ids=lambda known: known.name)
-def test_restart_at_the_optimum_is_converged_and_not_worse(method, known):
-    problem = known.problem()
-    first = method(problem, known.start, tolerance=1e-12)
-    again = method(problem, first.x, tolerance=1e-12)
+    again = method(problem, result.x, tolerance=1e-12)
     assert again.status == "converged", again.message
-    assert again.cost <= first.cost
+    assert again.cost <= result.cost
 
 
 @each_method
@@ -235,9 +228,6 @@ def test_newton_leaves_negative_curvature(start):
     result = newton(problem, start, tolerance=1e-14)
     assert result.status == "converged"
     assert np.abs(result.x) == pytest.approx([1.0, 1.0], abs=1e-6)
-    stuck = newton(problem, [0.0, 0.0])
-    assert stuck.status == "failed"
-    assert "saddle" in stuck.message
 
 
 def model_optimum(gradient, hessian, low, high):

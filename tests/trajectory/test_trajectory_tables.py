@@ -44,9 +44,6 @@ def test_table_3_polyline_by_distance_from_its_chords():
     curve, step = through("linear", 7), WHOLE / 6
     assert 1e6 * bound(curve, cycloid(), (0, step)).at_most == pytest.approx(27.67, abs=0.04)
     assert 1e6 * bound(curve, cycloid(), (step, 2 * step)).at_most == pytest.approx(93.28, abs=0.1)
-    # the article says 250
-    assert bound(through("linear", 316), cycloid()).at_most < 0.05e-6
-    assert bound(through("linear", 315), cycloid()).at_least > 0.05e-6
 
 
 @pytest.mark.parametrize(
@@ -105,7 +102,5 @@ def test_the_tool_says_which_method_is_best():
     choice = choose_curve(cycloid(), 0.05e-6)
     assert (choice.best.method.name, choice.best.points) == ("bernstein-chebyshev", 10)
     least = {c.method.name: c.points for c in choice.candidates}
-    assert least["bernstein"] == 12
-    assert least["trigonometric"] == 16
-    assert least["linear"] == 316
+    assert (least["bernstein"], least["trigonometric"], least["linear"]) == (12, 16, 316)
     assert all(c.error_m <= 0.05e-6 for c in choice.candidates)
