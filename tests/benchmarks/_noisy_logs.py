@@ -89,21 +89,26 @@ EVERY = (*KINDS, "wander", *WRONGLY_STATED)
 """All kinds; wander: a slow one that all channels have in common, beside white noise of each."""
 
 
+def moving(runs: int, seconds: float, speed: float, step_s: float, rng: np.random.Generator) -> Campaign:
+    """Runs of a stage that move every axis at once, some of them `speed` times in each second."""
+    size = {"x_m": 300e-6, "y_m": 500e-6, "rz_rad": 300e-6, "z_m": 1e-4, "rx_rad": 2e-4, "ry_rad": 2e-4}
+    made = []
+    for _ in range(runs):
+        motion = {
+            axis: sine(a * rng.uniform(0.5, 1), speed * f * rng.uniform(0.8, 1.2), rng.uniform(0, 6.28))
+            for (axis, a), f in zip(size.items(), (1.0, 1.55, 1.25, 0.35, 0.45, 0.3), strict=True)
+        }
+        made.append(Run(seconds, {}, motion))
+    return Campaign(step_s, tuple(made))
+
+
 def stage(runs: int, rng: np.random.Generator) -> tuple[str, dict[str, float], Campaign, dict[str, float]]:
     """The paper's machine: all of its runs, or fewer that move every axis at once."""
     values = published.values("table7_estimates")
     noise = dict(table8_noise(build("stage31"), values).sigma)
     if runs == PAPER_RUNS:
         return "stage31", values, replace(paper_campaign(STAGE_STEP), step_s=STAGE_STEP), noise
-    size = {"x_m": 300e-6, "y_m": 500e-6, "rz_rad": 300e-6, "z_m": 1e-4, "rx_rad": 2e-4, "ry_rad": 2e-4}
-    made = []
-    for _ in range(runs):
-        motion = {
-            axis: sine(a * rng.uniform(0.5, 1), f * rng.uniform(0.8, 1.2), rng.uniform(0, 6.28))
-            for (axis, a), f in zip(size.items(), (2.0, 3.1, 2.5, 0.7, 0.9, 0.6), strict=True)
-        }
-        made.append(Run(2.0, {}, motion))
-    return "stage31", values, Campaign(STAGE_STEP, tuple(made)), noise
+    return "stage31", values, moving(runs, 2.0, 2.0, STAGE_STEP, rng), noise
 
 
 def encoder(runs: int, rng: np.random.Generator) -> tuple[str, dict[str, float], Campaign, dict[str, float]]:

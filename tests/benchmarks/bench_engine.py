@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _noisy_logs import log_of
+from _noisy_logs import log_of, moving
 from bench_fit import MODEL, SIGMA, in_memory, least
 
 from hallsym import diagnose, fit, read_log, write_log
@@ -31,10 +31,8 @@ from hallsym.families.halbach.layout import Sensor
 from hallsym.families.halbach.planar import halbach_planar, pinwheel
 from hallsym.log import Log, Meta, Noise
 from hallsym.model.arrays import on_arrays
-from hallsym.simulation import Campaign, NoiseModel, Run, paper_campaign, simulate, sine
+from hallsym.simulation import NoiseModel, paper_campaign, simulate
 
-AXES = {"x_m": 300e-6, "y_m": 500e-6, "rz_rad": 300e-6, "z_m": 1e-4, "rx_rad": 2e-4, "ry_rad": 2e-4}
-PACE = (1.0, 1.55, 1.25, 0.35, 0.45, 0.3)
 LATE_S = 1e-3
 HALBACH = Path(__file__).parents[2] / "data" / "halbach"
 Row = tuple[float, float, str, float]
@@ -52,18 +50,11 @@ def campaign(samples: int) -> dict[str, np.ndarray]:
     return simulate(MODEL, values, paper_campaign(step_s=1.0 / samples), NoiseModel(SIGMA), seed=872)
 
 
-def moving(runs: int, samples: int, speed: float, step_s: float) -> Log:
-    """Runs that move every axis at once, some of them `speed` times in each second."""
-    rng, made = np.random.default_rng(0), []
-    for _ in range(runs):
-        motion = {
-            axis: sine(a * rng.uniform(0.5, 1), speed * f * rng.uniform(0.8, 1.2), rng.uniform(0, 6.28))
-            for (axis, a), f in zip(AXES.items(), PACE, strict=True)
-        }
-        made.append(Run(samples * step_s, {}, motion))
-    values = published.values("table7_estimates")
-    columns = simulate(MODEL, values, Campaign(step_s, tuple(made)), NoiseModel(SIGMA), seed=1)
-    return Log.from_arrays(columns, Noise.given(SIGMA, tuple(columns)))
+def long_log(runs: int, samples: int, speed: float, step_s: float) -> Log:
+    """Runs that move every axis at once."""
+    path = moving(runs, samples * step_s, speed, step_s, np.random.default_rng(0))
+    columns = simulate(MODEL, published.values("table7_estimates"), path, NoiseModel(SIGMA), seed=1)
+    return in_memory(columns)
 
 
 def from_file(samples: int, suffix: str, fitted: bool) -> Row:
@@ -143,7 +134,7 @@ def of_machine(make: Callable[..., Log], *how: Any) -> Row:
 
 
 def of_file(*how: Any) -> Row:
-    """A diagnosis of the runs that `moving` makes, in a file: another process makes it."""
+    """A diagnosis of the runs that `long_log` makes, in a file: another process makes it."""
     with tempfile.TemporaryDirectory() as folder:
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
             pool.submit(written, folder, how).result()
@@ -151,8 +142,8 @@ def of_file(*how: Any) -> Row:
 
 
 def written(folder: str, how: tuple) -> None:
-    """Write the runs that `moving` makes as a log with its noise."""
-    write_log(moving(*how), Path(folder, "log.parquet"))
+    """Write the runs that `long_log` makes as a log with its noise."""
+    write_log(long_log(*how), Path(folder, "log.parquet"))
     meta = {"noise_1sigma": SIGMA, "base_model": MODEL.name}
     Path(folder, "meta.json").write_text(json.dumps(meta))
 
