@@ -4,9 +4,6 @@ Every file holds a recording of `recordings`, as another instrument or program w
 knows: of each column their name and unit, of counts their scale and offset. `obeyed` does what the messages
 of `hallsym fit` and `hallsym info --write` say, at most twice, and compares the calibration with that of the
 recording itself.
-
-    python tests/lab_files.py            every file, one line each
-    python tests/lab_files.py NAME...    these, with all that was printed
 """
 
 from __future__ import annotations
@@ -19,8 +16,6 @@ import os
 import re
 import shlex
 import sqlite3
-import sys
-import tempfile
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -1021,13 +1016,9 @@ FILES: dict[str, LabFile] = {
 
 @dataclass
 class Outcome:
-    """Whether it ended right, after how many messages; lines put right and columns added by the owner."""
+    """Whether it ended right, else why not, and all that was printed."""
 
-    name: str
     right: bool
-    steps: int
-    changed: int
-    added: int
     why: str
     printed: str
 
@@ -1044,13 +1035,9 @@ def run(words: Sequence[str]) -> tuple[int, str, str]:
     return code, out.getvalue(), err.getvalue()
 
 
-def completed(path: Path, known: Mapping[str, Known]) -> tuple[int, int]:
-    """Choose the lines of a column file that are right, add scale, offset and missing columns.
-
-    Return how many lines in force named another column than the owner's, or another unit, and were put right;
-    and how many columns were added.
-    """
-    lines, wrong, added, have = [], 0, 0, set()
+def completed(path: Path, known: Mapping[str, Known]) -> None:
+    """Choose the lines of a column file that are right, add scale, offset and missing columns."""
+    lines, have = [], set()
     text = path.read_text(encoding="utf-8")
     for line in text.split("\n"):
         match = re.match(r"(# )?([a-z]\w*) = (.*)", line)
@@ -1063,7 +1050,6 @@ def completed(path: Path, known: Mapping[str, Known]) -> tuple[int, int]:
             have.add(own)
             lines.append(f"{ours} = {in_counts(entry, known[own])}")
         else:
-            wrong += not offered and own not in have
             lines.append(line if offered else f"# {line}")
     as_they_are = next((line for line in lines if line.startswith("# read as they are: ")), "")
     for column, about in known.items():
@@ -1075,9 +1061,7 @@ def completed(path: Path, known: Mapping[str, Known]) -> tuple[int, int]:
             elif about.scale is not None:
                 entry = f"{{ name = {entry}, scale = {about.scale!r}, offset = {about.offset!r} }}"
             lines.append(f"{ours} = {entry}")
-            added += 1
     path.write_text("\n".join(lines), encoding="utf-8")
-    return wrong, added
 
 
 def fits(about: Known, own: str, ours: str, entry: str) -> bool:
@@ -1112,7 +1096,7 @@ def obeyed(name: str, folder: Path) -> Outcome:
     written = lab.write(folder, data)
     truth = written.columns or data
     os.chdir(folder)
-    printed, changed, added, steps = [], 0, 0, 0
+    printed, steps = [], 0
     try:
         words = ["fit", *written.words]
         while True:
@@ -1126,7 +1110,7 @@ def obeyed(name: str, folder: Path) -> Outcome:
                 if code != 0:
                     break
                 file = next((Path(w) for w in words if w.endswith(".toml")), Path("columns.toml"))
-                changed, added = completed(file, written.known)
+                completed(file, written.known)
                 printed.append(file.read_text(encoding="utf-8"))
             following = next_command(text, written.words)
             if following is None or steps == 2:
@@ -1142,8 +1126,8 @@ def obeyed(name: str, folder: Path) -> Outcome:
     why = told(lab, truth, out) if words[0] == "fit" and code in (0, 3, 4) else "no fit"
     if lab.says:
         right = any(word in everything + out for word in lab.says)
-        return Outcome(name, right, steps, changed, added, "" if right else why, everything)
-    return Outcome(name, not why, steps, changed, added, why, everything)
+        return Outcome(right, "" if right else why, everything)
+    return Outcome(not why, why, everything)
 
 
 def next_command(text: str, files: Sequence[str]) -> list[str] | None:
@@ -1183,29 +1167,3 @@ def told(lab: LabFile, truth: Columns, out: str) -> str:
             off.append((abs(entry["value"] - value) / std, name))
     far, name = max(off, default=(0.0, ""))
     return "" if far <= lab.within else f"{name} is {far:.3g} standard deviations off"
-
-
-def main() -> None:
-    """Print how each file ends."""
-    chosen = sys.argv[1:] or list(FILES)
-    done = []
-    for name in chosen:
-        with tempfile.TemporaryDirectory() as folder:
-            try:
-                done.append(obeyed(name, Path(folder)))
-            except Exception as error:
-                done.append(Outcome(name, False, 0, 0, 0, repr(error)[:200], ""))
-        o = done[-1]
-        ends = "right" if o.right else "WRONG"
-        print(
-            f"{ends}  {o.steps} steps, {o.changed} lines put right, {o.added} added  {name}",
-            o.why,
-            flush=True,
-        )
-        if len(chosen) < len(FILES):
-            print(o.printed)
-    print(f"{sum(o.right for o in done)} of {len(done)} right")
-
-
-if __name__ == "__main__":
-    main()
