@@ -9,11 +9,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from twins import TRUTH, phi, pm
 
-from hallsym.families import published
 from hallsym.log import Log, Meta, Noise, Sigma
 
-TRUTH = published.values("table7_estimates")
 SIGMA = {
     **dict.fromkeys(("hall_a_m", "hall_b_m", "hall_c_m"), 0.5e-6),
     "x_ref_m": 0.3e-6, "y_ref_m": 0.3e-6, "rz_ref_rad": 0.5e-6,
@@ -109,21 +108,9 @@ def _run(t: np.ndarray, start: float, pose: np.ndarray, state: np.ndarray, share
     return Motion(t, start, pose, state, warm, share)
 
 
-def felt(pose: np.ndarray) -> np.ndarray:
-    """Displacement of each probe along its axis."""
-    v = TRUTH
-    place = np.array([[v["H1x"], v["H1y"]], [-v["H2x"], v["H2y"]], [v["H3x"], v["H3y"]]])
-    angle = np.array([v["theta_A"] + np.pi / 2, v["theta_B"] + np.pi / 2, v["theta_C"]])[:, None]
-    dx = pose[0] - place[:, 1:] * pose[2]
-    dy = pose[1] + place[:, :1] * pose[2]
-    return np.cos(angle) * dx + np.sin(angle) * dy
-
-
 def gains(state: np.ndarray) -> np.ndarray:
     """Gain of each probe, Eq. (31)."""
-    v = TRUTH
-    return np.array([v[f"eta_{k}"] + v[f"a_{k}"] * state[0] + v[f"b_{k}"] * state[1] + v[f"c_{k}"] * state[2]
-                     for k in "ABC"])  # fmt: skip
+    return phi(TRUTH, state)
 
 
 def machine(
@@ -145,8 +132,7 @@ def machine(
     bend, cubic = rng.normal(0, 1.5e4 * curvature, 3), rng.normal(0, 2e-3 * curvature, 3)
     columns: dict[str, list[np.ndarray]] = {}
     for number, run in enumerate(runs):
-        run.felt = felt(run.pose)
-        run.felt = run.felt + rng.normal(0, 1e-6, 3)[:, None]
+        run.felt = pm(TRUTH) @ run.pose + rng.normal(0, 1e-6, 3)[:, None]
         run.felt = run.felt + cubic[:, None] * run.felt**3 / 0.25e-6
         run.reference = run.pose.copy()
         run.reading = (gains(run.state) + bend[:, None] * run.state[0] ** 2) * run.felt
