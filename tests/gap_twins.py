@@ -152,7 +152,7 @@ def machine(
         if temperature:
             out["temperature_degc"] = run.temperature + 0.02 * rng.standard_normal(n)
         for effect in late:
-            effect_late(effect, run, out, rng)
+            effect(run, rng, out)  # they act on the recorded columns
         for c, values in out.items():
             columns.setdefault(c, []).append(values[keep])
     total = len(runs)
@@ -162,11 +162,6 @@ def machine(
         {c: np.concatenate(v) for c, v in columns.items()},
         noise=Noise({c: Sigma(s, "given") for c, s in SIGMA.items()}), meta=meta,
     )  # fmt: skip
-
-
-def effect_late(effect: Inject, run: Motion, out: dict[str, np.ndarray], rng: np.random.Generator) -> None:
-    """Effects that act on the recorded columns."""
-    effect(run, rng, out)  # type: ignore[call-arg]
 
 
 def _noise(rng: np.random.Generator, n: int, kind: str, pink: float) -> np.ndarray:
