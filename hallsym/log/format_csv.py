@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
+from typing import IO, Any
 
 from hallsym.errors import InputError, quoted
 from hallsym.log.arrow import Timed
@@ -103,29 +104,12 @@ class CsvSource(Timed):
             yield from (split(line, self.dialect.sign) for line in piece.split("\n")[:-1])
 
 
-class CsvWriter:
-    """Writes full precision: every value reads back to the same bits."""
-
-    group_rows = 16_384
-
-    def __init__(self, path: Path) -> None:
-        self._stream = path.open("w", encoding="utf-8", newline="")
-        self._delimiter = "\t" if path.suffix == ".tsv" else ","
-        self._started = False
-
-    def write(self, columns: Mapping[str, Array]) -> None:
-        """Append rows."""
-        if not self._started:
-            self._stream.write(csv_text([tuple(columns)], self._delimiter))
-            self._started = True
-        reader, arrow = load("pyarrow.csv"), load("pyarrow")
-        options = reader.WriteOptions(include_header=False, delimiter=self._delimiter)
-        self._stream.flush()
-        reader.write_csv(arrow.table(dict(columns)), self._stream.buffer, options)
-
-    def close(self) -> None:
-        """Flush and close."""
-        self._stream.close()
+def csv_writer(stream: IO[bytes], schema: Any, suffix: str) -> Any:
+    """Return pyarrow's writer of tables to a stream; every value reads back to the same bits."""
+    csv, delimiter = load("pyarrow.csv"), "\t" if suffix == ".tsv" else ","
+    stream.write(csv_text([schema.names], delimiter).encode())
+    options = csv.WriteOptions(include_header=False, delimiter=delimiter)
+    return csv.CSVWriter(stream, schema, write_options=options)
 
 
 def first_fault(source: CsvSource, indices: Sequence[int], error: Exception) -> InputError:

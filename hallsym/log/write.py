@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 
@@ -13,11 +14,15 @@ from hallsym.errors import InputError, quoted, require
 from hallsym.files import reason, replacing
 from hallsym.log.columns import RUN
 from hallsym.log.core import Log
-from hallsym.log.format_csv import CsvWriter
-from hallsym.log.format_parquet import ParquetWriter
+from hallsym.log.format_csv import csv_writer
+from hallsym.log.format_parquet import parquet_writer
 from hallsym.log.formats import COMPRESSED, format_of
-from hallsym.log.table import joined
+from hallsym.log.table import joined, load
 from hallsym.units import Array, si_name, to_si
+
+WRITERS = {"csv": csv_writer, "parquet": parquet_writer}
+GROUP_ROWS = 131_072
+"""Rows that are written at once."""
 
 
 class LogWriter:
@@ -33,11 +38,12 @@ class LogWriter:
         """Choose the format; nothing is written before the `with` block."""
         self.path = Path(path)
         name = format_of(self.path).name
-        if name not in ("csv", "parquet") or self.path.suffix == COMPRESSED:
+        if name not in WRITERS or self.path.suffix == COMPRESSED:
             raise InputError(
                 f"Logs are not written as {self.path.suffix}; end {quoted(self.path)} with .parquet or .csv."
             )
-        self._make = CsvWriter if name == "csv" else ParquetWriter
+        self._make = WRITERS[name]
+        self._writer: Any = None
         self._waiting: list[dict[str, Array]] = []
         self._rows = 0
         self._names: tuple[str, ...] | None = None
@@ -45,7 +51,8 @@ class LogWriter:
     def __enter__(self) -> LogWriter:
         """Open a temporary file beside the target."""
         with ExitStack() as stack:
-            self._writer = self._make(stack.enter_context(replacing(self.path)))
+            path = stack.enter_context(replacing(self.path))
+            self._stream = stack.enter_context(path.open("wb"))
             self._target = stack.pop_all()
         return self
 
@@ -66,7 +73,7 @@ class LogWriter:
             )
         self._waiting.append({name: chunk[name] for name in self._names})
         self._rows += lengths.pop()
-        if self._rows >= self._writer.group_rows:
+        if self._rows >= GROUP_ROWS:
             self._drain()
 
     def __exit__(
@@ -74,11 +81,10 @@ class LogWriter:
     ) -> None:
         """Finish and rename, or remove the temporary file."""
         if error is not None:
-            with suppress(Exception):
-                self._writer.close()
-            self._target.__exit__(GeneratorExit, GeneratorExit(), None)  # whatever failed, it says itself
+            with suppress(Exception):  # whatever failed, it says itself
+                self._target.__exit__(GeneratorExit, GeneratorExit(), None)
             return
-        with self._target, closing(self._writer):
+        with self._target:
             if self._names is None:
                 raise InputError(
                     f"Nothing was written to {self.path}: a log needs at least one piece of samples."
@@ -87,8 +93,12 @@ class LogWriter:
 
     def _drain(self) -> None:
         if self._waiting and self._names:
+            table = load("pyarrow").table(joined(self._waiting, self._names))
             try:
-                self._writer.write(joined(self._waiting, self._names))
+                if self._writer is None:
+                    self._writer = self._make(self._stream, table.schema, self.path.suffix)
+                    self._target.callback(self._writer.close)
+                self._writer.write_table(table, GROUP_ROWS)
             except OSError as error:
                 raise InputError(f"Cannot write {self.path}: {reason(error)}.") from error
             self._waiting, self._rows = [], 0

@@ -6,6 +6,7 @@ import errno
 import os
 import stat
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,23 +15,28 @@ from log_samples import one_sentence, stage_arrays
 
 from hallsym.errors import InputError
 from hallsym.files import atomic_write
-from hallsym.log import LogWriter, format_csv, format_parquet, read_log, write_log
+from hallsym.log import LogWriter, read_log, write_log
+from hallsym.log.write import WRITERS
 
-WRITERS = {".parquet": format_parquet.ParquetWriter, ".csv": format_csv.CsvWriter}
 
-
-@pytest.mark.parametrize("suffix", WRITERS)
-@pytest.mark.parametrize("method", ["write", "close"])
+@pytest.mark.parametrize("suffix", [".parquet", ".csv"])
+@pytest.mark.parametrize("method", ["write_table", "close"])
 def test_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, method: str) -> None:
     path = tmp_path / f"log{suffix}"
     path.write_bytes(b"old")
-    real = getattr(WRITERS[suffix], method)
+    real = WRITERS[suffix[1:]]
 
-    def full(writer: Any, *columns: Any) -> None:
-        real(writer, *columns)
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    def made(*given: Any) -> Any:
+        writer = real(*given)
 
-    monkeypatch.setattr(WRITERS[suffix], method, full)
+        def full(*tables: Any) -> None:
+            getattr(writer, method)(*tables)
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+        own = {"write_table": writer.write_table, "close": writer.close, method: full}
+        return SimpleNamespace(**own)
+
+    monkeypatch.setitem(WRITERS, suffix[1:], made)
     with pytest.raises(InputError, match=r"Cannot write .*: the disk is full") as caught:
         write_log(stage_arrays(), path)
     assert one_sentence(str(caught.value))
