@@ -3,7 +3,6 @@
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import overload
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -125,17 +124,13 @@ REMEMBERED = 4_000_000
 """Samples whose weights are kept: 32 MB."""
 
 
-@overload
-def remembered(weigh: Weigh, rows: int, columns: Sequence[str] | None = None) -> Weigh: ...
-@overload
-def remembered(weigh: None, rows: int, columns: Sequence[str] | None = None) -> None: ...
-def remembered(weigh: Weigh | None, rows: int, columns: Sequence[str] | None = None) -> Weigh | None:
+def remembered(weigh: Weigh, rows: int, columns: Sequence[str] | None = None) -> Weigh:
     """Return the same weights, computed once per block where a log of `rows` samples is not too long.
 
     A block is known by its run and its numbers: those of `columns`, which are all that `weigh` looks at (all
     of the block's by default).
     """
-    if weigh is None or rows > REMEMBERED:
+    if rows > REMEMBERED:
         return weigh
     known: dict[tuple, np.ndarray] = {}
 
