@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import reduce
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -66,17 +65,16 @@ def _topic(path: Path, name: str, schema: Any, origin: int, left_out: dict[str, 
     `origin`, which is in nanoseconds.
     """
     with _opened(path) as reader:
-        found = (
-            (message, raw.log_time) for _, _, raw, message in reader.iter_decoded_messages(topics=[name])
-        )
-        first = next(found)
-        leaves = dict(_leaves(first[0]))
+        messages = reader.iter_decoded_messages(topics=[name])
+        found = ((dict(_leaves(message)), raw.log_time) for _, _, raw, message in messages)
+        first = leaves, _ = next(found)
         numbers = [p for p, v in leaves.items() if isinstance(v, int | float) and not isinstance(v, bool)]
-        stamped = (_STAMP, "stamp", "sec") in numbers
+        second, rest = ((_STAMP, "stamp", part) for part in ("sec", "nanosec"))
+        stamped = second in numbers
         paths = {_called(path): path for path in numbers if path[0] != _STAMP or len(path) == 1}
         rows = [
-            (_ns(message.header.stamp) if stamped else at, *(_leaf(message, p) for p in paths.values()))
-            for message, at in chain([first], found)
+            (own[second] * 10**9 + own[rest] if stamped else at, *map(own.__getitem__, paths.values()))
+            for own, at in chain([first], found)
         ]
     left_out.update({_called(path): "it holds no numbers" for path in leaves if path not in numbers})
     names = [name.rpartition("/")[2]] if [*paths] == [_SINGLE] else [*paths]
@@ -88,10 +86,6 @@ def _topic(path: Path, name: str, schema: Any, origin: int, left_out: dict[str, 
     source.ends = float(source.columns[TIME][0]), float(source.columns[TIME][-1])
     source.since = "the stamps" if stamped else "the recording"
     return source
-
-
-def _ns(stamp: Any) -> int:
-    return int(stamp.sec * 1_000_000_000 + stamp.nanosec)
 
 
 def _leaves(value: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Any]]:
@@ -109,8 +103,3 @@ def _leaves(value: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tupl
 def _called(path: Sequence[str | int]) -> str:
     """Return the name of a leaf: `pose.position[0]`."""
     return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path)[1:]
-
-
-def _leaf(message: Any, path: Sequence[str | int]) -> Any:
-    """Return a leaf of a message by its path."""
-    return reduce(lambda m, step: m[step] if isinstance(step, int) else getattr(m, step), path, message)
