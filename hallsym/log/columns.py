@@ -463,10 +463,7 @@ _WORDS = {
     "''": "arcsec", "arcseconds": "arcsec", "′": "arcmin", "arcminutes": "arcmin", "turn": "rev",
     "turns": "rev", "umdr": "rev", "gon": "grad", "urad": "urad",
 }  # fmt: skip
-_EXACT = {
-    "V": "v", "mV": "mv", "uV": "uv", "A": "a", "mA": "ma", "T": "t", "mT": "mt", "uT": "ut", "Hz": "hz",
-    "kHz": "khz", "K": "k",
-}  # fmt: skip
+_EXACT = {u.symbol: u.name for u in UNITS.values() if u.symbol != u.name == u.symbol.lower() != "degc"}
 """Units in which a capital letter is another size: mV is not MV."""
 _ANY_CASE = set(UNITS) - {unit for unit in _EXACT.values() if len(unit) > 1} - {"k", "t"}
 UNITS_AS_WRITTEN = frozenset({*_WORDS, *_EXACT, *_ANY_CASE})
