@@ -63,20 +63,8 @@ class Source(ABC):
             return sum(len(piece[self.names[0]]) for piece in self.chunks(self.names[:1], CHUNK_ROWS))
         return self.rows
 
-    def read(self, names: Sequence[str]) -> Mapping[str, Array]:
-        """Return whole columns, each of shape (rows,)."""
-        return joined(list(self.chunks(names, CHUNK_ROWS)), names)
-
-    def numbers(self, names: Sequence[str] | None = None, most: int | None = None) -> dict[str, Array]:
-        """Return those of some columns (default: all) that hold numbers, of shape (rows,); `most` rows."""
-        found, names = dict[str, Array](), self.names if names is None else names
-        for some in (names, *([name] for name in names)):
-            if some and not found.keys() >= {*some}:
-                with suppress(InputError):  # words
-                    found |= self._first(some, most)
-        return found
-
-    def _first(self, names: Sequence[str], most: int | None) -> Mapping[str, Array]:
+    def read(self, names: Sequence[str], most: int | None = None) -> Mapping[str, Array]:
+        """Return columns, each of shape (rows,), or of the `most` first rows."""
         pieces, rows = list[Mapping[str, Array]](), 0
         for piece in self.chunks(names, most or CHUNK_ROWS):
             pieces.append(piece)
@@ -84,6 +72,15 @@ class Source(ABC):
             if most and rows >= most:
                 break
         return {name: values[:most] for name, values in joined(pieces, names).items()}
+
+    def numbers(self, names: Sequence[str] | None = None, most: int | None = None) -> dict[str, Array]:
+        """Return those of some columns (default: all) that hold numbers, of shape (rows,); `most` rows."""
+        found, names = dict[str, Array](), self.names if names is None else names
+        for some in (names, *([name] for name in names)):
+            if some and not found.keys() >= {*some}:
+                with suppress(InputError):  # words
+                    found |= self.read(some, most)
+        return found
 
     def head(self, count: int, most: int) -> list[list[str]]:
         """Return the first rows as text, of at most `most` columns."""
