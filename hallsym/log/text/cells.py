@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 from hallsym.log.columns import LONGEST_UNIT, NO_UNIT, UNITS_AS_WRITTEN, unit_of
@@ -28,7 +28,7 @@ class Convention:
     decimal: str
     grouping: str = ""
 
-    @property
+    @cached_property
     def pattern(self) -> re.Pattern[str]:
         """Pattern of a number."""
         d = re.escape(self.decimal)
@@ -44,14 +44,13 @@ CONVENTIONS = (
     *(Convention(decimal, gap) for gap in _GAPS for decimal in ".,"),
 )  # fmt: skip
 """From the usual one on: the first that reads all is taken, where none after it reads other numbers."""
-_PATTERNS = {c: c.pattern for c in CONVENTIONS}
 _ANY = re.compile(rf"[-+]?[\d.,{_GAPS}]*\d[\d.,{_GAPS}]*{_POWER}|{_INFINITE}", re.IGNORECASE)
 
 
 @lru_cache(maxsize=1 << 12)
 def is_number(cell: str) -> bool:
     """Say whether a cell is a number under some convention; a missing one is none."""
-    return bool(_ANY.fullmatch(cell)) and any(p.fullmatch(cell) for p in _PATTERNS.values())
+    return bool(_ANY.fullmatch(cell)) and any(c.pattern.fullmatch(cell) for c in CONVENTIONS)
 
 
 def conventions_of(cells: Iterable[str], decimal: str | None = None) -> tuple[list[Convention], str]:
@@ -60,11 +59,11 @@ def conventions_of(cells: Iterable[str], decimal: str | None = None) -> tuple[li
     Several are returned only where they read the same cells as other numbers: 1,234.
     """
     numbers = [c for c in dict.fromkeys(cells) if is_number(c)]
-    if decimal != "," and all(_PATTERNS[POINT].fullmatch(n) for n in numbers):
+    if decimal != "," and all(map(POINT.pattern.fullmatch, numbers)):
         return [POINT], ""
     signs = set().union(*numbers)
     allowed = [c for c in CONVENTIONS if decimal in (None, c.decimal) and set(c.grouping) <= signs]
-    counts = {c: sum(bool(_PATTERNS[c].fullmatch(n)) for n in numbers) for c in allowed}
+    counts = {c: sum(map(bool, map(c.pattern.fullmatch, numbers))) for c in allowed}
     most = max(counts.values(), default=0)
     best = [c for c in allowed if counts[c] == most]
     if POINT in best:
@@ -81,7 +80,7 @@ def as_float(cell: str, convention: Convention) -> float | None:
     """Return the number in a cell, nan for a missing one, None for anything else."""
     if cell in MISSING:
         return float("nan")
-    if not (_PATTERNS.get(convention) or convention.pattern).fullmatch(cell):
+    if not convention.pattern.fullmatch(cell):
         return None
     plain = cell.replace(convention.grouping, "") if convention.grouping else cell
     return float(plain.replace(convention.decimal, "."))
