@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,8 +22,8 @@ def open_hdf5(path: Path, clock: str | None = None, kind: str = "HDF5", by: str 
     with opened() as file:
         arrays = {
             name: Stored(
-                node.shape, _type(node), _finder(node.name), unit_in(node.attrs), pace_in(_stated(node)),
-                _fault(node), tuple(words for value in node.attrs.values() if (words := words_of(value))),
+                node.shape, _type(node), partial(_found, node.name), unit_in(node.attrs),
+                pace_in(_stated(node)), _fault(node), tuple(words for value in node.attrs.values() if (words := words_of(value))),
             )
             for name, node in _datasets(file, left_out, by).items()
             if node.shape is not None
@@ -44,8 +43,8 @@ def _stated(node: Any) -> dict[str, Any]:
     return {**above, **node.attrs}
 
 
-def _finder(name: str) -> Callable[[Any, str], Any]:
-    return lambda file, field: file[name].fields(field) if field else file[name]
+def _found(name: str, file: Any, field: str) -> Any:
+    return file[name].fields(field) if field else file[name]
 
 
 def _datasets(file: Any, left_out: dict[str, str], by: str) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -27,7 +27,7 @@ def open_tdms(path: Path, clock: str | None = None) -> Source:
                 left_out[channel.name] = "it holds no numbers"
                 continue
             arrays[f"{channel.group_name}/{channel.name}"] = Stored(
-                (len(channel),), channel.dtype, _finder(channel.group_name, channel.name),
+                (len(channel),), channel.dtype, partial(_found, channel.group_name, channel.name),
                 unit_in(channel.properties), pace_in(channel.properties),
             )  # fmt: skip
     return arranged(where, "TDMS", arrays, left_out, "/", clock, opened)
@@ -41,5 +41,5 @@ def _opened(path: Path) -> Iterator[Any]:
         yield file
 
 
-def _finder(group: str, channel: str) -> Callable[[Any, str], Any]:
-    return lambda file, _: file[group][channel]
+def _found(group: str, channel: str, file: Any, field: str) -> Any:
+    return file[group][channel]

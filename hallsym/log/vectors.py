@@ -188,16 +188,8 @@ def _by_run(path: str, array: Stored, by: str) -> Iterator[tuple[str, Stored]]:
         yield path, array
         return
     for k in range(shape[0]):
-        find = partial(_part, array.find, k)
+        find = partial(lambda k, file, field: array.find(file, field)[k], k)
         yield by.join((path, f"run{k}", path.split(by)[-1])), array._replace(shape=shape[1:], find=find)
-
-
-def _part(find: Callable[[Any, str], Any], k: int, file: Any, field: str) -> Any:
-    return find(file, field)[k]
-
-
-def _each(own: Mapping[str, Vector], file: Any, names: Sequence[str], lo: int, hi: int) -> list[Array]:
-    return [own[name].read(file, lo, hi) for name in names]
 
 
 def arranged(
@@ -261,7 +253,11 @@ def _timed(own: Mapping[str, Vector], rows: int, pace: Pace | None, opened: Open
     moments = {name: vector.first for name, vector in own.items() if vector.first}
     if len(moments) == 1:
         own = {TIME if name in moments else name: vector for name, vector in own.items()}
-    source = Vectors({name: vector.unit for name, vector in own.items()}, rows, partial(_each, own), opened)
+
+    def read(file: Any, names: Sequence[str], lo: int, hi: int) -> list[Array]:
+        return [own[name].read(file, lo, hi) for name in names]
+
+    source = Vectors({name: vector.unit for name, vector in own.items()}, rows, read, opened)
     source.pace = pace
     for first in moments.values() if TIME in own else ():
         with opened() as file:
