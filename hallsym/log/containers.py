@@ -7,7 +7,7 @@ import sqlite3
 import tempfile
 import zipfile
 from collections import defaultdict
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from contextlib import closing
 from functools import lru_cache
 from pathlib import Path
@@ -32,7 +32,11 @@ def one_of(where: str, kind: str, tables: Mapping[str, Source], chosen: str | No
                 f"{', '.join(tables) or 'none'}."
             )
         return tables[chosen]
-    filled = {name: source for name, source in tables.items() if _holds_numbers(source)} or tables
+    filled = {
+        name: source
+        for name, source in tables.items()
+        if any(is_number(cell) for row in source.head(_FEW, 100) for cell in row)
+    } or tables
     if not filled:
         raise InputError(f"{where} is empty: it must hold a row of column names and one row per sample.")
     same = defaultdict[frozenset[str], list[str]](list)
@@ -52,10 +56,6 @@ def one_of(where: str, kind: str, tables: Mapping[str, Source], chosen: str | No
     left = (f"Of {where} {kind} {listed(others)} is not read.",) if others else ()
     found.notes = (*found.notes, *left)
     return found
-
-
-def _holds_numbers(source: Source) -> bool:
-    return any(is_number(cell) for row in source.head(_FEW, 100) for cell in row)
 
 
 _FEW = 5
@@ -85,13 +85,12 @@ MOST_BYTES = 10_000_000_000
 """Largest content of an archive; the user unpacks a larger one."""
 
 
-def unpacked(path: Path, suffixes: Collection[str]) -> Path:
-    """Return a folder, which ends with the process, of the files of a zip archive that have a suffix."""
-    return _unpacked(path, tuple(suffixes), path.stat().st_mtime_ns)
-
-
 @lru_cache(maxsize=16)
-def _unpacked(path: Path, suffixes: tuple[str, ...], written: int) -> Path:
+def unpacked(path: Path, suffixes: tuple[str, ...], written: int) -> Path:
+    """Return a folder, which ends with the process, of the files of a zip archive that have a suffix.
+
+    `written`: when the archive was; another time is another archive.
+    """
     with zipfile.ZipFile(path) as archive:
         members = [
             member for member in archive.infolist()

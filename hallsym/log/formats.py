@@ -290,11 +290,11 @@ def files_of(path: str | Path) -> list[Path]:
     `InputError` where there is none.
     """
     path = Path(path)
-    suffixes = [suffix for entry in FORMATS if entry.found for suffix in entry.suffixes]
+    suffixes = tuple(suffix for entry in FORMATS if entry.found for suffix in entry.suffixes)
     if path.suffix.lower() == ARCHIVE and path.is_file():
         regular(path, "Log")
         with reading(path, "Log", "must be a complete archive; it is cut short or damaged"):
-            path = unpacked(path, suffixes)
+            path = unpacked(path, suffixes, path.stat().st_mtime_ns)
     if path.is_dir():
         logs = [path / f"log{suffix}" for suffix in suffixes if (path / f"log{suffix}").is_file()]
         found = logs[:1] or _of_one_kind(path.iterdir(), suffixes) or _of_one_kind(path.glob("*/*"), suffixes)
