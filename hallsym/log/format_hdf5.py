@@ -23,7 +23,8 @@ def open_hdf5(path: Path, clock: str | None = None, kind: str = "HDF5", by: str 
         arrays = {
             name: Stored(
                 node.shape, _type(node), partial(_found, node.name), unit_in(node.attrs),
-                pace_in(_stated(node)), _fault(node), tuple(words for value in node.attrs.values() if (words := words_of(value))),
+                pace_in(_stated(node)), _fault(node),
+                tuple(words for value in node.attrs.values() if (words := words_of(value))),
             )
             for name, node in _datasets(file, left_out, by).items()
             if node.shape is not None

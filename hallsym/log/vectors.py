@@ -44,14 +44,14 @@ class Stored(NamedTuple):
 class Vector(NamedTuple):
     """A column of numbers: its length, what reads samples from one on to before another, unit and pace.
 
-    `first` reads the moment [ns since 1970] that a column of times counts from.
+    `moments`: whether they are moments [ns since 1970].
     """
 
     rows: int
     read: Callable[[Any, int, int], Array]
     unit: str | None
     pace: Pace | None = None
-    first: Callable[[Any], int] | None = None
+    moments: bool = False
 
 
 class Vectors(Source):
@@ -108,11 +108,10 @@ def columns_of(path: str, array: Stored, field: str, by: str) -> tuple[dict[str,
     def column(k: int, unit: str | None) -> Vector:
         def read(file: Any, lo: int, hi: int) -> Array:
             index = tuple(slice(lo, hi) if n == axis else k for n in range(len(shape)))
-            return np.atleast_1d(array.find(file, field)[index if len(index) != 1 else index[0]])
+            found = np.atleast_1d(array.find(file, field)[index if len(index) != 1 else index[0]])
+            return found.astype("M8[ns]").astype(np.int64) if kind == "M" else found
 
-        if kind == "M":
-            return _moments(max(sizes), read)
-        return Vector(max(sizes), read, unit, array.pace)
+        return Vector(max(sizes), read, unit, array.pace, kind == "M")
 
     if len(sizes) == 1:
         return {path: column(0, array.unit)}, ""
@@ -128,18 +127,6 @@ def columns_of(path: str, array: Stored, field: str, by: str) -> tuple[dict[str,
         elif len(set(words)) == len(words):
             names = names or [before + word for word in words]
     return {name: column(k, units[k]) for k, name in enumerate(names or [f"{stem}_{k}" for k in count])}, ""
-
-
-def _moments(rows: int, read: Callable[[Any, int, int], Array]) -> Vector:
-    """Return a column of moments as seconds from the first one."""
-
-    def ticks(file: Any, lo: int, hi: int) -> Array:
-        return read(file, lo, hi).astype("M8[ns]").astype(np.int64)
-
-    def first(file: Any) -> int:
-        return int(ticks(file, 0, 1)[0])
-
-    return Vector(rows, lambda file, lo, hi: (ticks(file, lo, hi) - first(file)) * 1e-9, "s", None, first)
 
 
 def words_of(values: Any) -> tuple[str, ...]:
@@ -217,7 +204,7 @@ def arranged(
             vectors |= columns
             left_out |= {path.rpartition(by)[2]: why} if why else {}
     with opened() as file:
-        scalars = {p: v.read(file, 0, 1)[0] for p, v in vectors.items() if v.rows == 1}
+        scalars = {p: v.read(file, 0, 1)[0] for p, v in vectors.items() if v.rows == 1 and not v.moments}
     runs = runs_of([path.split(by) for path in vectors])
     paths: dict[str, dict[str, Vector]] = {}
     for path, vector in vectors.items():
@@ -249,17 +236,20 @@ def arranged(
 
 
 def _timed(own: Mapping[str, Vector], rows: int, pace: Pace | None, opened: Opened) -> Vectors:
-    """Return vectors of one length; the only one that holds moments is their time."""
-    moments = {name: vector.first for name, vector in own.items() if vector.first}
+    """Return vectors of one length, moments in seconds from the first; the only one of these is the time."""
+    moments = [name for name, vector in own.items() if vector.moments]
     if len(moments) == 1:
-        own = {TIME if name in moments else name: vector for name, vector in own.items()}
+        own = {TIME if vector.moments else name: vector for name, vector in own.items()}
+    first = dict[str, int]()
+    if moments:
+        with opened() as file:
+            first = {name: int(v.read(file, 0, 1)[0]) for name, v in own.items() if v.moments}
 
     def read(file: Any, names: Sequence[str], lo: int, hi: int) -> list[Array]:
-        return [own[name].read(file, lo, hi) for name in names]
+        parts = {name: own[name].read(file, lo, hi) for name in names}
+        return [(part - first[name]) * 1e-9 if name in first else part for name, part in parts.items()]
 
-    source = Vectors({name: vector.unit for name, vector in own.items()}, rows, read, opened)
+    source = Vectors({n: "s" if n in first else vector.unit for n, vector in own.items()}, rows, read, opened)
     source.pace = pace
-    for first in moments.values() if TIME in own else ():
-        with opened() as file:
-            source.clocks = {TIME: Pace(0.0, 0.0, first(file))}
+    source.clocks = {name: Pace(0.0, 0.0, at) for name, at in first.items() if name == TIME}
     return source
