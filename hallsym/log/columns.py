@@ -25,18 +25,8 @@ from hallsym.units import UNITS, Array, quantity, require_unit, si_name, split_u
 
 RUN = "run"
 RUN_WORDS = (
-    "run",
-    "pass",
-    "scan",
-    "sweep",
-    "trial",
-    "segment",
-    "lauf",
-    "fahrt",
-    "messung",
-    "measurement",
-    "次数",
-)
+    "run", "pass", "scan", "sweep", "trial", "segment", "lauf", "fahrt", "messung", "measurement", "次数",
+)  # fmt: skip
 TIME_WORDS = ("t", "time", "timestamp", "zeit", "clock", "elapsed", "temps", "时间")
 """Usual names of runs, and of the time."""
 T = "t"
