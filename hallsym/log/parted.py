@@ -14,7 +14,7 @@ from hallsym.log.columns import RUN, RUN_WORDS, T, is_run_word, is_time_word, sp
 from hallsym.log.groups import Group, GroupedSource
 from hallsym.log.pace import Paced
 from hallsym.log.table import Arrays, Source
-from hallsym.log.text.cells import MISSING, is_number
+from hallsym.log.text.cells import MISSING, POINT, as_float, is_number
 from hallsym.units import UNITS, Array, split_unit
 
 _FEW = 50
@@ -200,7 +200,7 @@ def by_signal(source: Source, where: str) -> Source:
         names = [n for n in texts if kinds[n] > 1]
     if not names:
         return source
-    stamps = stamps or [n for n in free if _rises(head[n])][:1]
+    stamps = stamps or [n for n in free if (_steps(head[n]) >= 0).all()][:1]
     name = max(names, key=lambda n: kinds[n])
     seen = len(set(head[name]))
     varying = [n for n in head if len({*zip(head[n], head[name], strict=True)}) > seen]
@@ -230,16 +230,14 @@ def by_signal(source: Source, where: str) -> Source:
     return made
 
 
-def _rises(cells: Sequence[str]) -> bool:
-    """Say whether numbers of the first rows never fall, as times do not."""
-    steps = np.diff([float(cell) for cell in cells if re.fullmatch(r"[-+.\deE]+", cell)] or [0.0])
-    return len(steps) + 1 == len(cells) and bool((steps >= 0).all())
+def _steps(cells: Sequence[str]) -> Array:
+    """Return the steps between a column's first numbers, nan beside other cells."""
+    return np.diff(np.array([as_float(cell, POINT) for cell in cells], float))
 
 
 def _counts(cells: Sequence[str]) -> bool:
     """Say whether a column is 0, 1, 2, ... or another such number of the row."""
-    whole = all(cell.isdecimal() for cell in cells)
-    return whole and bool((np.diff([int(cell) for cell in cells]) == 1).all())
+    return all(cell.isdecimal() for cell in cells) and bool((_steps(cells) == 1).all())
 
 
 def _units_of(
