@@ -79,22 +79,21 @@ class Foreign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
 
 @dataclass(frozen=True)
 class Binding:
-    """SI column `name` is `factor * file[source] + offset`.
+    """SI column `name` is `factor * file[foreign.name] + offset`.
 
     `asked`: our name with its unit, as somebody mapped it, "" for the file's own; `foreign`: what was mapped.
     """
 
     name: str
-    source: str
+    foreign: Foreign
     factor: float = 1.0
     offset: float = 0.0
     asked: str = ""
-    foreign: Foreign | None = None
 
     @property
-    def counts_per_turn(self) -> float | None:
-        """Counts of the file that make a turn, for an angle in counts."""
-        return self.foreign.counts_per_turn if self.foreign else None
+    def source(self) -> str:
+        """Name of the column in the file."""
+        return self.foreign.name
 
     def si(self, raw: Array) -> Array:
         """Return SI values (float64; the run column as integers) of raw values of shape (rows,)."""
@@ -267,7 +266,7 @@ def _binding(
     ours: str, foreign: Foreign, where: str, counts_per_turn: float | None, asked: str = ""
 ) -> Binding:
     if ours == RUN:
-        return Binding(RUN, foreign.name, asked=asked, foreign=foreign)
+        return Binding(RUN, foreign, asked=asked)
     unit, (stem, _), counts = require_unit(ours), split_unit(ours), None
     name, factor, zero = si_name(ours), unit.factor, unit.offset
     if unit.si == "count" and "rad" in quantity(stem):
@@ -280,8 +279,7 @@ def _binding(
             )
         name, factor, asked = f"{stem}_rad", 2 * math.pi / counts, asked or ours
     scale, offset = factor * (foreign.sign * foreign.scale), factor * foreign.offset + zero
-    kept = structs.replace(foreign, counts_per_turn=counts)
-    return Binding(name, foreign.name, scale, offset, asked, kept)
+    return Binding(name, structs.replace(foreign, counts_per_turn=counts), scale, offset, asked)
 
 
 def _add(bindings: dict[str, Binding], new: Binding, where: str) -> None:

@@ -249,11 +249,11 @@ class Table:
     @property
     def mapping(self) -> dict[str, Foreign]:
         """The columns that somebody mapped: our name, with the unit where it was stated, and the file's."""
-        return {b.asked: b.foreign for b in self.bindings.values() if b.asked and b.foreign}
+        return {b.asked: b.foreign for b in self.bindings.values() if b.asked}
 
     def counts_per_turn(self, column: str) -> float | None:
         """Return how many counts of the file make a turn, for an angle in counts."""
-        return self.bindings[column].counts_per_turn if column in self.bindings else None
+        return self.bindings[column].foreign.counts_per_turn if column in self.bindings else None
 
     def _hold(self, columns: Sequence[str]) -> Piece:
         new = [name for name in columns if name not in self._cache]
