@@ -334,15 +334,12 @@ class GroupedSource(Source):
     def _joined(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield columns of groups that have one clock."""
         wanted = _by_group(self.places, names)
-        if sum(any(g in members for g, _ in wanted) for members in self.sets) > 1:
+        if sum(any(g in members for g in wanted) for members in self.sets) > 1:
             raise InputError(self.unstated)
-        streams = [(g, asked, g.chunks([p for _, p in asked], size)) for g, asked in wanted]
-        for pieces in zip(*(stream for _, _, stream in streams), strict=True):
-            yield {
-                name: piece[channel]
-                for (_, asked, _), piece in zip(streams, pieces, strict=True)
-                for name, channel in asked
-            }
+        streams = [g.chunks([channel for _, channel in asked], size) for g, asked in wanted.items()]
+        for pieces in zip(*streams, strict=True):
+            parts = zip(wanted.values(), pieces, strict=True)
+            yield {name: piece[channel] for asked, piece in parts for name, channel in asked}
 
     def _chunks_of_runs(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         channels = {name: self.places[name][1] for name in names if name in self.places}
@@ -354,7 +351,7 @@ class GroupedSource(Source):
 
     def _resampled(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield columns at the samples of the master, those between which all groups were recorded."""
-        wanted, (begin, end) = dict(_by_group(self.places, names)), self._shared()
+        wanted, (begin, end) = _by_group(self.places, names), self._shared()
         turns = {name: self._turn(name) for name in names}
         fastest = max(g.rate for g in self.others)  # a chunk of it is in memory beside ours
         size = max(1, int(size * min(1.0, self.master.rate / fastest))) if fastest else size
@@ -403,11 +400,11 @@ class GroupedSource(Source):
 
 def _by_group(
     places: Mapping[str, tuple[Group, str]], names: Sequence[str]
-) -> list[tuple[Group, list[tuple[str, str]]]]:
+) -> dict[Group, list[tuple[str, str]]]:
     found: dict[Group, list[tuple[str, str]]] = {}
     for name in names:
         found.setdefault(places[name][0], []).append((name, places[name][1]))
-    return list(found.items())
+    return found
 
 
 METHODS = ("linear", "nearest")

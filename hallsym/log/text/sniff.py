@@ -9,11 +9,11 @@ import io
 import os
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
-from typing import IO, NamedTuple, cast
+from typing import Any, NamedTuple
 
 from hallsym.errors import InputError
 from hallsym.log.arrow import time_form
@@ -423,20 +423,21 @@ _WIDE, _NARROW = 0.6, 0.1
 
 
 class Encoded:
-    """A text as bytes, on a disk or in memory: its coding, as Python names it, and whether it is compressed.
-
-    `raw` opens its bytes, decompressed.
-    """
+    """A text as bytes, on a disk or in memory: its coding, as Python names it; whether it is compressed."""
 
     def __init__(self, source: Path | bytes) -> None:
         """Recognise compression and coding by the beginning."""
-        self.raw: Callable[[], IO[bytes]] = partial(_opened, source, open)
+        self.source, self.compressed = source, False
         with self.raw() as stream:
             self.compressed = stream.read(2) == _GZIP
-        if self.compressed:
-            self.raw = partial(_opened, source, cast(Callable[..., IO[bytes]], gzip.open))
         with self.raw() as stream:
             self.encoding = _encoding(stream.read(SAMPLE))
+
+    def raw(self) -> Any:
+        """Open its bytes, decompressed."""
+        if isinstance(self.source, bytes):
+            return io.BytesIO(self.source)
+        return gzip.open(self.source) if self.compressed else open(self.source, "rb")
 
     @property
     def said(self) -> str:
@@ -474,10 +475,6 @@ class Encoded:
             stream.seek(max(0, stream.seek(0, os.SEEK_END) - END))
             text = stream.read().decode(self.encoding, "replace")
         return text.replace("\r\n", "\n").replace("\r", "\n")
-
-
-def _opened(source: Path | bytes, open: Callable[..., IO[bytes]]) -> IO[bytes]:
-    return io.BytesIO(source) if isinstance(source, bytes) else open(source, "rb")
 
 
 def _encoding(head: bytes) -> str:
