@@ -1,22 +1,19 @@
 """Sensor logs: read, check and write them; SI units, split into runs, with their noise."""
 
-from hallsym.log.batches import Batch, Weigh, batches, remembered
-from hallsym.log.columns import MOST_RUN, Foreign, parse_column_option, read_column_file
+from hallsym.log.batches import Batch, Weigh, batches
+from hallsym.log.columns import Foreign, parse_column_option, read_column_file
 from hallsym.log.core import Block, Drop, Log, without
 from hallsym.log.derived import extended
 from hallsym.log.estimate import estimate_noise
-from hallsym.log.formats import MOST_ROWS, as_log, open_source, read_log
+from hallsym.log.formats import as_log, open_source, read_log
 from hallsym.log.meta import Meta, Noise, Sigma, check_noise_keys, meta_schema
 from hallsym.log.phase import continuous, near, unwrapped, wrapped
 from hallsym.log.quality.check import check_log, clean_log, spans, usable
 from hallsym.log.quality.findings import LAYOUT, UNRELATED, Fault
-from hallsym.log.quality.scan import Span
 from hallsym.log.write import LogWriter, write_log
 
 __all__ = [
     "LAYOUT",
-    "MOST_ROWS",
-    "MOST_RUN",
     "UNRELATED",
     "Batch",
     "Block",
@@ -28,7 +25,6 @@ __all__ = [
     "Meta",
     "Noise",
     "Sigma",
-    "Span",
     "Weigh",
     "as_log",
     "batches",
@@ -44,7 +40,6 @@ __all__ = [
     "parse_column_option",
     "read_column_file",
     "read_log",
-    "remembered",
     "spans",
     "unwrapped",
     "usable",

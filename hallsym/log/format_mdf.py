@@ -59,12 +59,14 @@ def _channels(path: Path, index: int, file: Any, left_out: dict[str, str]) -> Ve
             left_out[split_header(channel.name)[0]] = "it holds no numbers"
         elif signal is not None and channel.name not in places:
             places[channel.name], units[channel.name] = k, unit_of(signal.unit or "")
-    rows, ends = int(group.channel_group.cycles_nr), None
     if master is not None and places:
         places[TIME], units[TIME] = next(iter(places.values())), "s"
-        first, last = (float(read(file, [TIME], at, at + 1)[0][0]) for at in (0, rows - 1))
-        ends = first, last
-    return Vectors(units, rows, read, partial(_opened, path), ends, "the start of the measurement")
+    source = Vectors(units, int(group.channel_group.cycles_nr), read, partial(_opened, path))
+    source.since = "the start of the measurement"
+    if TIME in places:
+        first, last = (float(read(file, [TIME], at, at + 1)[0][0]) for at in (0, source.rows - 1))
+        source.ends = first, last
+    return source
 
 
 def _valid(signal: Any) -> Array:

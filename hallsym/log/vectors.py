@@ -63,17 +63,14 @@ class Vectors(Source):
         rows: int,
         read: Callable[[Any, Sequence[str], int, int], Sequence[Array]],
         opened: Opened = nullcontext,
-        ends: tuple[float, float] | None = None,
-        since: str = "",
     ) -> None:
         """Take the names. `read` returns samples from one on to before another, asked for in their order.
 
-        `TIME` may be one of the names, of a time that the format gives, with its `ends` and what it counts
-        from, `since`.
+        `TIME` may be one of the names, of a time that the format gives.
         """
         self.call(stems_of([*units], [*units.values()]))
         self.own = dict(zip(self.names, units, strict=True))
-        self.rows, self.take, self.opened, self.ends, self.since = rows, read, opened, ends, since
+        self.rows, self.take, self.opened = rows, read, opened
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of at most `size` rows."""
