@@ -326,13 +326,13 @@ class _Judgement:
 
     # -- without a suspect ---------------------------------------------------------------------------------
 
-    def _others(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """Without the reading of watched k: slopes of the pose (n, pose, s), and the parts of the sum (n, s).
+    def _others(self, k: int, i: int) -> tuple[np.ndarray, np.ndarray]:
+        """With nothing left of watched k by reading i: slopes of the pose (n, pose, s), and the parts of the
+        sum (n, s).
 
         The sum is bilinear in what is left and its factor: neither is computed again for all readings.
         """
         pose, left, errors = self.slopes
-        (i,) = self.d.watched[k].readings
         own = left[i, k]
         counts = np.abs(own) > MASKED * np.abs(own).max()  # where it counts at all
         # by which the mended reading follows each other one, less
@@ -345,32 +345,35 @@ class _Judgement:
         """Whether each watched reading can be told from every other (m,)."""
         out = []
         for k, one in enumerate(self.d.watched):
-            if len(one.readings) > 1 or one.error:  # confusable everywhere, or in some places
-                out.append(False)
-                continue
-            _, seen = self._others(k)
-            rest = np.delete(seen, one.readings, axis=0)
-            own = np.delete(self.seen, one.readings, axis=0)
-            counts = own > MASKED * self.unit
-            out.append(bool((rest >= ISOLABLE * own)[counts].all()))
+            told = bool(one.readings) and not one.error  # with it, confusable in some places
+            for i in one.readings if told else ():
+                rest, own = (np.delete(v, i, axis=0) for v in (self._others(k, i)[1], self.seen))
+                told = told and bool((rest >= ISOLABLE * own)[own > MASKED * self.unit].all())
+            out.append(told)
         return np.array(out)
+
+    @property
+    def _mended(self) -> list[tuple[int, int]]:
+        """Numbers of what is watched and told, each with those of the readings it may be."""
+        return [(int(k), i) for k in np.flatnonzero(self.isolable) for i in self.d.watched[k].readings]
 
     @cached_property
     def root(self) -> np.ndarray:
-        """By which what is left of watched readings is compared (m,): one over the root of its variance."""
+        """By which what is left of named readings is compared (k,): one over the root of its variance."""
         out = []
-        for variance in (self.slopes[1] ** 2).sum(axis=0):
+        for one, variance in zip(self.d.watched, (self.slopes[1] ** 2).sum(axis=0), strict=True):
+            if not one.readings:
+                continue
             counts = variance[variance > MASKED * self.unit]
             out.append(float(np.sqrt(self.unit / np.median(counts))) if len(counts) else 1.0)
-        return np.where(self.isolable, out, -np.array(out))
+        return np.where(self.isolable[: len(out)], out, -np.array(out))
 
     @cached_property
     def without(self) -> np.ndarray:
         """What a pose without its suspect may be off by (pose,), whichever of the told it is."""
         worst = np.zeros(len(self.d.pose))
-        for k in np.flatnonzero(self.isolable):
-            pose, seen = self._others(int(k))
-            (i,) = self.d.watched[k].readings
+        for k, i in self._mended:
+            pose, seen = self._others(k, i)
             fault = self._unflagged(seen)
             fault[i] = 0.0
             moved = np.abs(pose) * fault[:, None]
@@ -388,9 +391,8 @@ class _Judgement:
     def _mended_off(self) -> np.ndarray:
         """What is left (pose,) of a pose without noise by decoding it again without each reading."""
         d, worst = self.d, np.zeros(len(self.d.pose))
-        for k in np.flatnonzero(self.isolable):
-            (i,) = d.watched[k].readings
-            found = without_reading(self._once, self.inputs, slice(None), i, int(k)).pose
+        for k, i in self._mended:
+            found = without_reading(self._once, self.inputs, slice(None), i, k).pose
             worst = np.maximum(worst, np.abs(d.difference(found, self.at[0])).max(axis=1))
         return worst
 
@@ -426,7 +428,7 @@ class _Judgement:
                 f"Without its suspect the {d.quantity} is off by at most {_listed(found.without)}; "
                 "out->suspect is the number of that reading, from 1."
             )
-        ambiguous = [w for w, known in zip(d.watched, self.isolable, strict=True) if not known]
+        ambiguous = [w for w, known in zip(d.watched, self.isolable, strict=True) if w.readings and not known]
         if any(w.error for w in ambiguous):
             out.append(
                 "Which readings count changes from place to place, so a suspect is named, and nothing is "
@@ -471,18 +473,41 @@ def checked(d: Decoupler, once: Once, clamped: np.ndarray, root: np.ndarray) -> 
     if not len(bad):
         return first
     with np.errstate(all="ignore"):
-        sizes = np.abs(first.left[:, bad] * root[:, None])
+        sizes = np.abs(first.left[: len(root), bad] * root[:, None])
     named_by = np.argmax(sizes, axis=0)
     pose, flags, suspects = first.pose.copy(), first.flags.copy(), first.suspects.copy()
-    suspects[bad] = np.array([w.readings[0] + 1 for w in d.watched], dtype=np.uint32)[named_by]
+    suspects[bad] = np.array([w.readings[0] + 1 for w in d.watched if w.readings], dtype=np.uint32)[named_by]
     for k in np.unique(named_by) if d.mends else ():
         own = bad[named_by == k]
         if root[k] > 0:
-            again = without_reading(once, clamped[:, own], own, d.watched[k].readings[0], int(k))
-            pose[:, own] = again.pose
+            again = _without(once, clamped[:, own], own, d.watched[k].readings, int(k))
+            pose[:, own], suspects[own] = again.pose, again.suspects
             cleared = (again.flags & d.fault_bit) == 0
             flags[own] = np.where(cleared, again.flags | d.degraded_bit, again.flags)
     return Ran(pose, flags, first.left, suspects)
+
+
+def _without(
+    once: Once, clamped: np.ndarray, samples: np.ndarray, readings: Sequence[int], watched: int
+) -> Ran:
+    """Return a pass of the steps without the one of some readings that the others contradict least then."""
+    best = without_reading(once, clamped, samples, readings[0], watched)
+    best = replace(best, suspects=np.full(len(samples), readings[0] + 1, np.uint32))
+    for i in readings[1:]:
+        again = without_reading(once, clamped, samples, i, watched)
+        better = sum(row * row for row in again.left) < sum(row * row for row in best.left)
+        best = Ran(
+            *(
+                np.where(better, *pair)
+                for pair in (
+                    (again.pose, best.pose),
+                    (again.flags, best.flags),
+                    (again.left, best.left),
+                    (i + 1, best.suspects),
+                )
+            )
+        )
+    return best
 
 
 def without_reading(once: Once, clamped: np.ndarray, samples: Any, reading: int, watched: int) -> Ran:
@@ -510,17 +535,25 @@ def without_reading(once: Once, clamped: np.ndarray, samples: Any, reading: int,
 
 def fields_of(d: Decoupler, fragment: Callable[[str, Mapping[str, Any]], list[str]]) -> dict[str, Any]:
     """Return the fields of the templates of the suspect; `fragment` fills one in."""
-    numbers = [w.readings[0] + 1 for w in d.watched]
+    known = [w.readings for w in d.watched if w.readings]
+    several = d.mends and max(map(len, known)) > 1
+    known = known if several else [readings[:1] for readings in known]
+    numbers = [i + 1 for readings in known for i in readings]
+    starts = ", ".join(map(str, np.cumsum([0, *map(len, known)])))
     flags = sum(flag_bit(k) for k in range(len(d.flags)))
     bits = {
         "input_bits": f"0x{(flag_bit(len(d.flags) + d.mends - 1) - 1):08X}UL",
         "flag_bits": f"0x{flags:08X}UL",
     }
     return {
+        "named": len(known),
+        "count": len(numbers),
         "numbers": ", ".join(map(str, numbers)),
+        "starts": [f"static const uint8_t first[{len(known) + 1}] = {{{starts}}};"] if several else [],
+        "of_suspect": "first[k]" if several else "k",
         "number_type": "uint8_t" if max(numbers) < 256 else "uint16_t",
         "secants": SECANTS,
         "in_parameter": "const decoupler_in_t *in, " if d.mends else "",
         "in_argument": "in, " if d.mends else "",
-        "mend": fragment("mend.c", bits) if d.mends else [],
+        "mend": fragment("mend_least.c" if several else "mend.c", bits) if d.mends else [],
     }

@@ -47,9 +47,12 @@ def spread(count, pitch=THIRD):
     return (np.arange(count) - (count - 1) / 2) * pitch
 
 
-def planar(count=6, gaps=(0.0045, 0.0085), travel=0.0145, tilt=0.01, across=6):
-    """Four arrays over `count` sums of `across` sensors side by side each: gains of 1 %, offsets of 2 mV."""
-    found = arrays(movers.pinwheel())
+def planar(count=6, gaps=(0.0045, 0.0085), travel=0.0145, tilt=0.01, across=6, without=""):
+    """Four arrays over `count` sums of `across` sensors side by side each: gains of 1 %, offsets of 2 mV.
+
+    `without`: the array that is left out.
+    """
+    found = {name: a for name, a in arrays(movers.pinwheel()).items() if name != without}
     sums = [
         Sensor(f"{a.name.lower()}_{k}_v", tuple(spot(a, at, side) for side in spread(across)), a.name)
         for a in found.values() for k, at in enumerate(spread(count))

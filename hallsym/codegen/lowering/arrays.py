@@ -15,6 +15,7 @@ from math import pi, tan
 
 import casadi as ca
 import numpy as np
+from scipy.linalg import qr
 
 from hallsym.codegen import residual
 from hallsym.codegen.bounds import PoseByPose
@@ -25,6 +26,7 @@ from hallsym.codegen.decoupler import (
     Flag,
     Redundancy,
     Trial,
+    Watched,
     short,
     unit,
 )
@@ -42,7 +44,7 @@ from hallsym.codegen.lowering.arrays_fit import (
     turning_of,
 )
 from hallsym.codegen.lowering.odd_series import Odd, odd, shortest
-from hallsym.codegen.lowering.remainders import Seen, contradictions
+from hallsym.codegen.lowering.remainders import LEAVE, UNKNOWNS, Seen, contradictions, rms
 from hallsym.codegen.lowering.wave_steps import Pair, Wave
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
@@ -229,17 +231,22 @@ class Assembly:
         return [*out, *(f"log_{n}" for n in self.names)]
 
     @cached_property
-    def matrix(self) -> np.ndarray:
-        """Pose per label (n_pose, labels): least squares about the middle, weighted with what noise makes of
-        the phasors."""
+    def scaled(self) -> tuple[np.ndarray, np.ndarray]:
+        """Slopes (2 arrays, n_pose) of phases and logarithms by the pose about the middle, and phases and
+        logarithms per label (2 arrays, labels); both over the standard deviations of noise."""
         found, moves = self.found, STEP * np.eye(len(self.found.middle))
         ends = found.middle[:, None] + np.hstack([moves, -moves])
         up, down = np.hsplit(np.array(found.phasors(found.readings(ends))), 2)
         rotation = np.log(up / down) / (2 * STEP)
         slopes = np.vstack([rotation.imag, rotation.real])
         variance = [(g.phasor.weights**2 / found.weight[list(g.channels)]).sum() for g in found.groups]
-        scaled = slopes.T / np.array([*variance, *variance])
-        return np.asarray(np.linalg.solve(scaled @ slopes, scaled) @ np.linalg.inv(self.by_array))
+        root = np.sqrt([*variance, *variance])[:, None]
+        return slopes / root, np.linalg.inv(self.by_array) / root
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """Pose per label (n_pose, labels): weighted least squares."""
+        return np.asarray(np.linalg.lstsq(*self.scaled, rcond=None)[0])
 
     @cached_property
     def by_array(self) -> np.ndarray:
@@ -411,6 +418,7 @@ class Assembly:
         straight = {}
         for label, value in zip(labels, seen, strict=True):
             straight[label] = made.step(f"straight_{label}", value - off[label]) if label in off else value
+        self.straight = list(straight.values())
         linear: dict[int, ca.SX] = {}
         for i in (*self.found.turns, *range(self.found.height + 1)):
             name = f"linear_{short(self.found.model.pose[i])}"
@@ -509,13 +517,49 @@ class Assembly:
         return self.pose(seen, self.turning(vectors))
 
     def redundancy(self, linear: Sequence[ca.SX]) -> Redundancy | None:
-        """Add what is left of the readings of each array."""
+        """Add what is left of the readings of each array, and of the arrays where some have one to spare."""
         found, made = self.found, self.made
         read, tilted, waves = found.readings(self.poses), self.poses[3:] - found.middle[3:, None], []
         for group, wave, name in zip(found.groups, self.waves, self.names, strict=True):
             cos, sin = (made.symbols[f"{axis}_{wave.rounds or 'seen'}_{name}"] for axis in wave_steps.AXES)
             waves.append(Seen(group.channels, group.phasor, self.readings_of(group), (cos, sin), f"_{name}"))
-        return contradictions(made, waves, found.weight**-0.5, read, dict(enumerate(linear[3:])), tilted)
+        three = any(len(group.channels) == UNKNOWNS + 1 for group in found.groups)
+        more = self._across(linear, float(found.weight.min() ** -0.5)) if three else []
+        sigma, tilts = found.weight**-0.5, dict(enumerate(linear[3:]))
+        return contradictions(made, waves, sigma, read, tilts, tilted, more)
+
+    def _across(self, linear: Sequence[ca.SX], unit: float) -> list[Watched]:
+        """Add what the arrays leave of the pose beyond its unknowns; `unit` [V]: its standard deviation.
+
+        An array of three readings sees that one of them is off, and these which one.
+        """
+        made, (slopes, by_label), labels = self.made, self.scaled, self.labels
+        left = np.eye(len(slopes)) - slopes @ np.linalg.pinv(slopes)
+        basis = qr(left, pivoting=True)[0][:, : len(slopes) - slopes.shape[1]]
+        rows = unit * min(w.least for w in self.waves) * (basis.T @ by_label)
+        terms = [c for degree in range(3) for c in combined(range(slopes.shape[1]), degree)]
+        seen, off = (self.tried([v.name() for v in some]) for some in (linear, self.straight))
+        columns, out, of = (
+            np.array([np.prod(seen[list(c)], axis=0) for c in terms]),
+            [],
+            dict(enumerate(linear)),
+        )
+        for k, row in enumerate(rows, 1):
+            name, few = f"across_{k}", fewest(terms, columns, row @ off, LEAVE * unit, rms)
+            parts = [
+                made.entry(f"{name}_{label}", v, "V", f"{label} in what the arrays contradict") * value
+                for label, value, v, s in zip(labels, self.straight, row, self.spread, strict=True)
+                if abs(v) * s > NEGLIGIBLE * unit
+            ]
+            for c, v in few.items():
+                about = "*".join(self.found.model.pose[i] for i in c) or "1"
+                entry = made.entry(
+                    f"{name}_{''.join(map(str, c)) or 'of_all'}", -v, "SI", f"the same per {about}"
+                )
+                parts.append(entry * self._monomial("times", c, of) if c else entry)
+            made.total(name, parts, "[V] that the arrays contradict one another by")
+            out.append(Watched(name, ()))
+        return out
 
     @property
     def flags(self) -> tuple[Flag, ...]:

@@ -51,11 +51,13 @@ def contradictions(
     read: np.ndarray,
     tilts: Mapping[int, ca.SX] | None = None,
     tilted: np.ndarray | None = None,
+    more: Sequence[Watched] = (),
 ) -> Redundancy | None:
     """Add what is left of all readings and the sum of its squares; None where nothing is left over.
 
     `sigma` (n,): standard deviation of each reading [V]; the sum is in units of the largest. `read` (n, s):
     readings at trial poses. `tilts`: symbols of rotations by number, `tilted` (3, s) of the trial poses.
+    `more`: what else is left.
     """
     watched: list[Watched] = []
     shapes = np.zeros((0, read.shape[1])) if tilted is None else tilted
@@ -64,7 +66,7 @@ def contradictions(
             watched += _Left(made, wave, sigma, read, tilts or {}, shapes).make()
     if not watched:
         return None
-    return residual.summed(made, watched)
+    return residual.summed(made, [*watched, *more])
 
 
 class _Left:

@@ -2,15 +2,16 @@
 static uint32_t suspected(const decoupler_params_t *p, @IN_PARAMETER@uint32_t status,
                           const @REAL@ *left, decoupler_out_t *out)
 {
-    static const @NUMBER_TYPE@ numbers[@WATCHED@] = {@NUMBERS@};
+    static const @NUMBER_TYPE@ numbers[@COUNT@] = {@NUMBERS@};
+    @STARTS@
     uint32_t k = 0U;
     uint32_t result = status;
-    for (uint32_t n = 1U; n < @WATCHED@U; n++)
+    for (uint32_t n = 1U; n < @NAMED@U; n++)
     {
         k = (size_of(left[n], p->root[n]) > size_of(left[k], p->root[k])) ? n : k;
     }
+    out->suspect = numbers[@OF_SUSPECT@];
     @MEND@
-    out->suspect = numbers[k];
     return result;
 }
 

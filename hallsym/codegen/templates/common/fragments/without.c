@@ -1,9 +1,8 @@
 @CONVERTS@
 /* Decode with the value of one reading at which nothing is left of it: along the line through two. */
 static uint32_t without(const decoupler_params_t *p, const decoupler_in_t *in, uint32_t k, uint32_t number,
-                        decoupler_out_t *out)
+                        @REAL@ *left, decoupler_out_t *out)
 {
-    @REAL@ left[@WATCHED@];
     decoupler_in_t given;
     uint8_t *bytes = (uint8_t *)&given;
     @REAL@ value = @ZERO@;
