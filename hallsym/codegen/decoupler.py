@@ -180,7 +180,8 @@ class Flag:
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """What is left of a reading after the decode: the step `left`, of the readings (numbers) it may be.
+    """What is left of a reading after the decode: the step `left`, of the readings (numbers) it may be; of
+    none, where it tells these from one another.
 
     `error`: the step whose product with `left` is its part of the sum that the flag of a fault looks at;
     `left` itself where readings count equally.

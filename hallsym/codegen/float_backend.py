@@ -231,6 +231,7 @@ class FloatBackend(Backend):
         lines = [f"{VERSION} {self.type}"]
         lines += [f"{e.name} {e.unit}" for e in d.entries]
         lines += [f"{a.name}[{len(a.values)}] {a.unit} {a.integers}" for a in d.arrays]
+        lines += [f"{w.left} {w.readings}" for w in d.watched if d.suspects and len(w.readings) > 1]
         lines += statements([replace(step, remark="") for step in d.steps], {}, self.real, {})
         return crc32("\n".join(lines).encode())
 

@@ -435,7 +435,8 @@ class _Judgement:
                 "decoded without it."
             )
         elif ambiguous:
-            names = ["; ".join(", ".join(d.model.channels[i] for i in w.readings) for w in ambiguous)]
+            groups = dict.fromkeys(tuple(sorted(w.readings)) for w in ambiguous)
+            names = ["; ".join(", ".join(d.model.channels[i] for i in group) for group in groups)]
             out.append(
                 f"A fault cannot be told from one of another reading, and nothing is decoded without it, of: "
                 f"{names[0]}."

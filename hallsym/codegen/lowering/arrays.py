@@ -9,7 +9,7 @@ a step.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import combinations_with_replacement as combined
 from math import pi, tan
 
@@ -44,7 +44,7 @@ from hallsym.codegen.lowering.arrays_fit import (
     turning_of,
 )
 from hallsym.codegen.lowering.odd_series import Odd, odd, shortest
-from hallsym.codegen.lowering.remainders import LEAVE, UNKNOWNS, Seen, contradictions, rms
+from hallsym.codegen.lowering.remainders import LEAVE, Seen, contradictions, rms
 from hallsym.codegen.lowering.wave_steps import Pair, Wave
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
@@ -517,21 +517,20 @@ class Assembly:
         return self.pose(seen, self.turning(vectors))
 
     def redundancy(self, linear: Sequence[ca.SX]) -> Redundancy | None:
-        """Add what is left of the readings of each array, and of the arrays where some have one to spare."""
+        """Add what is left of the readings of each array, and of the arrays where that cannot tell some."""
         found, made = self.found, self.made
         read, tilted, waves = found.readings(self.poses), self.poses[3:] - found.middle[3:, None], []
         for group, wave, name in zip(found.groups, self.waves, self.names, strict=True):
             cos, sin = (made.symbols[f"{axis}_{wave.rounds or 'seen'}_{name}"] for axis in wave_steps.AXES)
             waves.append(Seen(group.channels, group.phasor, self.readings_of(group), (cos, sin), f"_{name}"))
-        three = any(len(group.channels) == UNKNOWNS + 1 for group in found.groups)
-        more = self._across(linear, float(found.weight.min() ** -0.5)) if three else []
         sigma, tilts = found.weight**-0.5, dict(enumerate(linear[3:]))
+        more = partial(self._across, linear, float(sigma.max()))
         return contradictions(made, waves, sigma, read, tilts, tilted, more)
 
     def _across(self, linear: Sequence[ca.SX], unit: float) -> list[Watched]:
         """Add what the arrays leave of the pose beyond its unknowns; `unit` [V]: its standard deviation.
 
-        An array of three readings sees that one of them is off, and these which one.
+        An array of three readings sees that one of them is off, and the others see which one.
         """
         made, (slopes, by_label), labels = self.made, self.scaled, self.labels
         left = np.eye(len(slopes)) - slopes @ np.linalg.pinv(slopes)

@@ -5,7 +5,7 @@ with P = 1 - H of rank n - 2, is linear in the readings with constant entries. W
 tilt read of it is taken off by few terms, found by regression over poses of the box.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement as combined
 
@@ -51,13 +51,13 @@ def contradictions(
     read: np.ndarray,
     tilts: Mapping[int, ca.SX] | None = None,
     tilted: np.ndarray | None = None,
-    more: Sequence[Watched] = (),
+    more: Callable[[], list[Watched]] = list,
 ) -> Redundancy | None:
     """Add what is left of all readings and the sum of its squares; None where nothing is left over.
 
     `sigma` (n,): standard deviation of each reading [V]; the sum is in units of the largest. `read` (n, s):
     readings at trial poses. `tilts`: symbols of rotations by number, `tilted` (3, s) of the trial poses.
-    `more`: what else is left.
+    `more`: adds what else is left, where that may tell readings that otherwise cannot be.
     """
     watched: list[Watched] = []
     shapes = np.zeros((0, read.shape[1])) if tilted is None else tilted
@@ -66,7 +66,9 @@ def contradictions(
             watched += _Left(made, wave, sigma, read, tilts or {}, shapes).make()
     if not watched:
         return None
-    return residual.summed(made, [*watched, *more])
+    if any(len(w.readings) > 1 for w in watched):
+        watched += more()
+    return residual.summed(made, watched)
 
 
 class _Left:
@@ -92,7 +94,9 @@ class _Left:
         wave, offset = self.wave, self.wave.phasor.offset
         free = (self.read - offset[:, None]) * self.scale[:, None]
         rows = self.rows * self.scale[:, None]
-        left = free - rows @ np.linalg.lstsq(rows, free, rcond=None)[0]
+        projector = np.eye(len(rows)) - rows @ np.linalg.pinv(rows)
+        left, square = projector @ free, projector.diagonal()
+        alike = projector**2 > (1 - residual.ISOLABLE) * np.outer(square, square)
         names = list(wave.readings)
         if len(names) == UNKNOWNS + 1:
             parity = np.linalg.svd(rows)[0][:, -1]
@@ -113,7 +117,8 @@ class _Left:
                 about = f"what {name} reads of no field"
                 reading = reading - self._entry(f"fit_offset_{name}", offset[k] * self.scale[k], about)
             total = reading - a * cos - b * sin
-            out.append(self._watched(f"left_{name}", total, left[k], (wave.numbers[k],)))
+            others = [wave.numbers[j] for j in np.flatnonzero(alike[k]) if j != k]
+            out.append(self._watched(f"left_{name}", total, left[k], (wave.numbers[k], *others)))
         return out
 
     def _entry(self, name: str, value: float, about: str, unit: str = "V") -> ca.SX:
