@@ -148,9 +148,9 @@ class Assembly:
         return made.step(f"turn_{name}", odd(self.series(first, k).coefficients, tangent, square), "[rad]")
 
     def _angle(self, first: int, k: int) -> float:
-        """Largest turn of two phasors of an axis over the box [rad]."""
-        u = self.found.swept
-        return float(np.abs(np.angle(u[k] * u[first].conj())).max()) * 1.05
+        """Largest turn of two phasors of an axis over the box [rad], and of noise that no fault hides in."""
+        u, noise = self.found.swept, np.hypot(*(self.noise[n] / self.waves[n].least for n in (first, k)))
+        return float(np.abs(np.angle(u[k] * u[first].conj())).max()) * 1.05 + BEYOND_NOISE * noise
 
     def series(self, first: int, k: int) -> Odd:
         """Return the polynomial of that angle."""
@@ -231,6 +231,12 @@ class Assembly:
         return [*out, *(f"log_{n}" for n in self.names)]
 
     @cached_property
+    def noise(self) -> np.ndarray:
+        """Standard deviation of each phasor (arrays,)."""
+        groups, weight = self.found.groups, self.found.weight
+        return np.array([np.sqrt((g.phasor.weights**2 / weight[list(g.channels)]).sum()) for g in groups])
+
+    @cached_property
     def scaled(self) -> tuple[np.ndarray, np.ndarray]:
         """Slopes (2 arrays, n_pose) of phases and logarithms by the pose about the middle, and phases and
         logarithms per label (2 arrays, labels); both over the standard deviations of noise."""
@@ -239,8 +245,7 @@ class Assembly:
         up, down = np.hsplit(np.array(found.phasors(found.readings(ends))), 2)
         rotation = np.log(up / down) / (2 * STEP)
         slopes = np.vstack([rotation.imag, rotation.real])
-        variance = [(g.phasor.weights**2 / found.weight[list(g.channels)]).sum() for g in found.groups]
-        root = np.sqrt([*variance, *variance])[:, None]
+        root = np.tile(self.noise, 2)[:, None]
         return slopes / root, np.linalg.inv(self.by_array) / root
 
     @property
@@ -618,6 +623,9 @@ class Assembly:
         )
 
 
+BEYOND_NOISE = 30.0
+"""Standard deviations by which the turn of two phasors may exceed that of the box before it is clamped: more
+than twice any limit, so that a clamped one contradicts the other arrays."""
 ROOMY = 1.1
 """Times the largest tangent of the box: end of the polynomial of a turn."""
 
