@@ -258,6 +258,22 @@ def test_the_compiled_c_names_the_suspects_that_python_does(case, arithmetic, ba
     assert 0.2 < (status & d.degraded_bit != 0).mean() < 0.6
 
 
+@pytest.mark.slow
+def test_an_array_that_reads_another_place_contradicts_the_others():
+    """All its sums agree with one another; noise and tilt clamp the turn of two phasors at the least."""
+    fit = boards.planar(**{**boards.LEVEL, "tilt": 0.001})
+    noise = Noise({c: Sigma(3e-4, "given") for c in fit.model.channels})
+    code, rng = hallsym.generate(fit.changed(noise=noise), accuracy=5e-6), np.random.default_rng(12)
+    d = code.decoupler
+    readings, other = d.drawn(rng, 5000), d.drawn(rng, 5000)
+    pose, there = d.exact(readings), d.exact(other)
+    y1 = [k for k, c in enumerate(d.model.channels) if c.startswith("y1")]
+    readings[y1] = other[y1]
+    far = np.abs(d.difference(pose, there)[1]) > 1e-3
+    _, status, _ = code.backend.whole_step(readings.astype(np.float32))
+    assert (status[far] != 0).all()
+
+
 def test_two_faults_are_a_fault_without_a_pose(batch):
     step, rng = batch("nine sums"), np.random.default_rng(8)
     d = step.code.decoupler
