@@ -66,7 +66,7 @@ class Source(ABC):
     def read(self, names: Sequence[str], most: int | None = None) -> Mapping[str, Array]:
         """Return columns, each of shape (rows,), or of the `most` first rows."""
         pieces, rows = list[Mapping[str, Array]](), 0
-        for piece in self.chunks(names, most or CHUNK_ROWS):
+        for piece in self.chunks(names, most or CHUNK_ROWS) if names else ():
             pieces.append(piece)
             rows += len(piece[names[0]])
             if most and rows >= most:

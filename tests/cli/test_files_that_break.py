@@ -148,9 +148,9 @@ def test_a_pipe_is_not_waited_for(refused, log, tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (f"step_s = 1e-12\n{CAMPAIGN}", "at most 2e\\+07 samples; it has 1e\\+12"),
-        (CAMPAIGN.replace("= 1\n", "= 1e30\n"), "at most 2e\\+07 samples"),
-        (SETTINGS + AXES, "at most 10000 runs; it has 20000"),
+        (f"step_s = 1e-12\n{CAMPAIGN}", "Samples .* at most 2e\\+07 .* received 1000000000000"),
+        (CAMPAIGN.replace("= 1\n", "= 1e30\n"), "Samples .* at most 2e\\+07"),
+        (SETTINGS + AXES, "Runs .* at most 10000 .* received 20000"),
         (f"step_s = {'1' * 400}\n{CAMPAIGN}", "'step_s' of .* must be a positive number"),
         (f"step_s = {'[' * 5000}{']' * 5000}\n", "nested too deeply"),
     ],

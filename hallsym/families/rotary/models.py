@@ -61,6 +61,11 @@ class Output:
         return {"channel": self.channel}
 
 
+def two_voltages() -> tuple[Output, ...]:
+    """Return the layout of a log with the voltages of both plates."""
+    return tuple(map(Output, VOLTAGES))
+
+
 def angle_only() -> tuple[Output, ...]:
     """Return the layout of a log with the decoded angle alone."""
     return tuple(map(Output, ANGLE))
@@ -145,7 +150,7 @@ def _encoder(
     combinations: tuple[Combination, ...] = (),
 ) -> Model:
     """Return the chain that all encoders share, up to what stands on the transducer link."""
-    outputs = tuple(map(Output, VOLTAGES)) if layout is None else tuple(layout)
+    outputs = two_voltages() if layout is None else tuple(layout)
     channels = tuple(o.channel for o in outputs)
     wanted = f"read as {' and '.join(VOLTAGES)} or as {ANGLE[0]}"
     require(channels in (VOLTAGES, ANGLE), "An encoder", wanted, channels)
