@@ -777,9 +777,7 @@ FAULTY = f"(status & {status_bit(FAULT)}) != 0U"
 
 def raised(conditions: Mapping[str, str]) -> list[str]:
     """Return C that sets the bit of each flag where its condition holds."""
-    each = [
-        [f"if ({held})", "{", f"    status |= {status_bit(flag)};", "}"] for flag, held in conditions.items()
-    ]
+    each = [[f"if ({c})", "{", f"    status |= {status_bit(flag)};", "}"] for flag, c in conditions.items()]
     return [line for lines in each for line in lines]
 
 

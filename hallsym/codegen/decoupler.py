@@ -100,6 +100,8 @@ FAULT, AGREEMENT = "FAULT", "agreement"
 """Flag of readings that contradict one another, and the step that it looks at."""
 ROOT = "root"
 """Row of the table by which what is left of each reading is compared with the others."""
+OF_ROOT = "by which what is left of a reading is compared; below 0: not to be told from another"
+"""What the table says of it."""
 FLAG_BITS = 31
 """Bits of the status of a step: inputs from below, flags from above; the last is of a refused zero."""
 

@@ -12,7 +12,7 @@ import numpy as np
 from hallsym.codegen import accepted, backend, residual
 from hallsym.codegen.backend import VERSION, Backend, Port, Stored, ends
 from hallsym.codegen.bounds import Bounds
-from hallsym.codegen.decoupler import ROOT, flag_bit, short, unit
+from hallsym.codegen.decoupler import OF_ROOT, ROOT, flag_bit, short, unit
 from hallsym.codegen.integer_c import LARGEST, MASK, UNIT, Program, Reciprocal, helpers
 from hallsym.codegen.naming import identifier
 from hallsym.codegen.residual import Ran
@@ -151,8 +151,7 @@ class IntegerBackend(Backend):
             note = f"[2^{a.shift - 32} turn] at as many phases of a turn"
             table.append(Stored(a.name, a.values.astype(f"<i{a.bits // 8}"), note))
         if len(p.root):
-            note = "by which what is left of a reading is compared; below 0: not to be told from another"
-            table.append(Stored(ROOT, p.root.astype("<i4"), note))
+            table.append(Stored(ROOT, p.root.astype("<i4"), OF_ROOT))
         return [*table, *offsets]
 
     def _accepted(self) -> accepted.Ends:

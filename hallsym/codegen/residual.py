@@ -21,6 +21,7 @@ from scipy.stats import chi2, norm
 from hallsym.codegen.decoupler import (
     AGREEMENT,
     FAULT,
+    OF_ROOT,
     ROOT,
     Array,
     Box,
@@ -59,7 +60,7 @@ MASKED = 1e-3
 """Share of the square of a fault below which the sum does not see it."""
 ISOLABLE = 0.1
 """Least share of the square of a fault that is left once another reading is taken for the suspect: with
-less, the two cannot be told from one another."""
+less, the two are confusable."""
 BENDS = 0.02
 """Share of a reading's range from which on a fault is followed on the arithmetic itself."""
 GROWN = 50
@@ -145,8 +146,7 @@ def judged(d: Decoupler, sigma: np.ndarray) -> Decoupler:
     found = _Judgement(d, sigma)
     limit = found.limit if d.suspects else np.sqrt(found.limit)
     table = tuple(replace(e, value=-float(limit)) if e.name == LEAST else e for e in d.table)
-    about = "by which what is left of a reading is compared; below 0: not to be told from another"
-    root = Array(ROOT, tuple(found.root.tolist()), "1", about)
+    root = Array(ROOT, tuple(found.root.tolist()), "1", OF_ROOT)
     redundancy = found.redundancy
     arrays = (*d.arrays, root) if d.suspects else d.arrays
     return replace(
@@ -342,19 +342,19 @@ class _Judgement:
 
     @cached_property
     def isolable(self) -> np.ndarray:
-        """Whether each watched reading can be told from every other (m,)."""
+        """Whether each watched reading is isolable: confusable with no other (m,)."""
         out = []
         for k, one in enumerate(self.d.watched):
-            told = bool(one.readings) and not one.error  # with it, confusable in some places
-            for i in one.readings if told else ():
+            isolable = bool(one.readings) and not one.error  # with it, confusable in some places
+            for i in one.readings if isolable else ():
                 rest, own = (np.delete(v, i, axis=0) for v in (self._others(k, i)[1], self.seen))
-                told = told and bool((rest >= ISOLABLE * own)[own > MASKED * self.unit].all())
-            out.append(told)
+                isolable = isolable and bool((rest >= ISOLABLE * own)[own > MASKED * self.unit].all())
+            out.append(isolable)
         return np.array(out)
 
     @property
     def _mended(self) -> list[tuple[int, int]]:
-        """Numbers of what is watched and told, each with those of the readings it may be."""
+        """Numbers of what is watched and isolable, each with those of the readings it may be."""
         return [(int(k), i) for k in np.flatnonzero(self.isolable) for i in self.d.watched[k].readings]
 
     @cached_property
@@ -370,7 +370,7 @@ class _Judgement:
 
     @cached_property
     def without(self) -> np.ndarray:
-        """What a pose without its suspect may be off by (pose,), whichever of the told it is."""
+        """What a pose without its suspect may be off by (pose,), whichever of the isolable it is."""
         worst = np.zeros(len(self.d.pose))
         for k, i in self._mended:
             pose, seen = self._others(k, i)

@@ -1144,7 +1144,6 @@ def _other_device(trials: Trials, now: Tried, agreed: Tried, runs: Sequence[int]
     """
     if agreed.mean(agreed.left) > EXCESS:
         return []
-
     floor = max(agreed.mean(agreed.left), 1.0)
     most = floor + _close(now, runs, floor)
     for fitted in (lambda: trials.fitted((), runs), lambda: _with_gains(trials, now.p, runs)):
@@ -1157,7 +1156,7 @@ def _other_device(trials: Trials, now: Tried, agreed: Tried, runs: Sequence[int]
 
 
 FREE = (1e-4, 1e4)
-"""Bounds of a gain: so far apart that it is the gain that is fitted where a parameter can make up for it."""
+"""Bounds of a gain: so wide that it is the gain that is fitted where a parameter can make up for it."""
 
 
 def _with_gains(trials: Trials, p: np.ndarray, runs: Sequence[int]) -> Tried | None:

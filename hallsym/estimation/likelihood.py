@@ -262,9 +262,6 @@ class _Runs(ABC):
     Shapes: r runs, m rows of a triangle, f features, K channels, n parameters, z offsets, v = z + n.
     """
 
-    gradients: np.ndarray
-    """Gradient of each run's F with its offsets eliminated, (r, n)."""
-
     def __init__(self, cost: Cost, at: slice, log: int, here: slice) -> None:
         """`log`: number of the log, `here`: the runs among those of all logs."""
         self.cost, self.log, self.here = cost, log, here
@@ -282,6 +279,11 @@ class _Runs(ABC):
             self.A -= (self.offsets[:, None] @ moved.reshape(r, self.z, -1)).reshape(self.A.shape)
         self.squares = np.swapaxes(self.A, 1, 2) @ self.A
         self.values = np.einsum("rkl,rlk->r", self.W, self.squares)
+
+    @property
+    @abstractmethod
+    def gradients(self) -> np.ndarray:
+        """Gradient of each run's F with its offsets eliminated, (r, n)."""
 
     @abstractmethod
     def _read(self, rows: np.ndarray) -> np.ndarray:
@@ -404,8 +406,7 @@ class _Polynomials(_Runs):
         return -2.0 * (self.feature_products @ self.W + self.QX @ self._WSW)
 
     @cached_property
-    def gradients(self) -> np.ndarray:  # type: ignore[override]
-        """Gradient of each run's F with its offsets eliminated, (r, n)."""
+    def gradients(self) -> np.ndarray:
         slopes = np.transpose(self.dc, (0, 1, 3, 2)).reshape(len(self.dc), -1, self.dc.shape[2])
         return np.einsum("rl,lrn->rn", self.loads, self.G.reshape(len(self.G), -1) @ slopes)
 
@@ -465,8 +466,7 @@ class _Tangents(_Runs):
         return out
 
     @cached_property
-    def gradients(self) -> np.ndarray:  # type: ignore[override]
-        """Gradient of each run's F with its offsets eliminated, (r, n)."""
+    def gradients(self) -> np.ndarray:
         AW, slopes = self.A @ self.W, np.empty(self.R_f.shape[::2])
         for features, channels in self.parts:
             QX, WSW = self.QX[:, features], self._WSW[..., channels]

@@ -111,8 +111,8 @@ def _places(names: Iterable[str], model: Model) -> dict[str, str]:
     where there is no second. Of sine and cosine the first is not known.
     """
     stems = [[split_unit(c)[0] for c in of] for of in (model.channels, model.references, _measured(model))]
-    alike = len({re.sub(r"(?<![a-z])[a-z]$|\d+", "", stem) for stem in stems[0]}) == 1
-    free, found = {k: own for k, own in enumerate(stems) if k or alike}, dict[str, str]()
+    one_set = len({re.sub(r"(?<![a-z])[a-z]$|\d+", "", stem) for stem in stems[0]}) == 1
+    free, found = {k: own for k, own in enumerate(stems) if k or one_set}, dict[str, str]()
     sets = series_of(names)
     words = [frozenset().union(*map(words_of, each)) & _KINDS for each in sets]
     for each, own in sorted(zip(sets, words, strict=True), key=lambda pair: not pair[1]):

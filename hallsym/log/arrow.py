@@ -329,19 +329,19 @@ def _entries(columns: Mapping[str, Any], one: bool, lists: bool = True) -> Itera
         lengths, kind = _lengths(column), column.type
         stem, _, last = name.rpartition("_")
         stem, unit = (stem, f"_{last}") if stem and last in UNITS else (name, "")
-        held = dict[str, Any]()
+        nested = dict[str, Any]()
         if types.is_struct(kind):
             for k, under in enumerate(field.name for field in kind):
                 said = holding == [name] or stem.lower() in re.split(r"[\W_]", under.lower())
-                held[under if said else f"{stem}_{under}{unit}"] = compute.struct_field(column, k)
+                nested[under if said else f"{stem}_{under}{unit}"] = compute.struct_field(column, k)
         elif lengths is not None and one and lists:
-            held = {name: compute.list_flatten(column)}
+            nested = {name: compute.list_flatten(column)}
         elif lists and lengths is not None and len(set(lengths)) == 1 and 0 < lengths[0] <= MOST_COLUMNS:
-            held = {f"{stem}_{k}{unit}": compute.list_element(column, k) for k in range(int(lengths[0]))}
+            nested = {f"{stem}_{k}{unit}": compute.list_element(column, k) for k in range(int(lengths[0]))}
         else:
             yield name, column
-        if held:
-            yield from _entries(held, one, lists)
+        if nested:
+            yield from _entries(nested, one, lists)
 
 
 def _holds_lists(kind: Any) -> bool:

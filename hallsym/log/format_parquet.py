@@ -90,7 +90,7 @@ def open_json(path: Path) -> Memory:
     """Open lines of JSON objects with the same keys, a list of them, or one object of lists or of a matrix.
 
     What one object holds at any depth are columns, those that are as long as the longest. Objects that hold
-    lists of samples are runs: in a list, or alike under names of their own.
+    lists of samples are runs: in a list, or with the same keys under names of their own.
     """
     arrow, facts = load("pyarrow"), dict[str, Any]()
     try:
@@ -116,8 +116,8 @@ def _rows(whole: Any) -> tuple[Any, dict[str, Any]]:
                 return [dict(zip(names, row, strict=True)) for row in rows], facts
     if len(parts) == 1 and lists and all(isinstance(row, dict) for row in lists[0]):
         return lists[0], facts
-    alike = len(parts) > 1 and not lists and len({frozenset(own) for own in parts}) == 1
-    return parts if alike else whole, facts
+    runs = len(parts) > 1 and not lists and len({frozenset(own) for own in parts}) == 1
+    return parts if runs else whole, facts
 
 
 def _facts(whole: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""How far apart the samples of a file are, where it states that beside its columns."""
+"""The sample interval of a file, where it states that beside its columns."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _VALUE = re.compile(r"\s*([-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?)[\s;,]*(
 
 
 class Pace(NamedTuple):
-    """Samples are `step` apart [s]; the first is at `start` [s] from `moment` [ns since 1970]."""
+    """The sample interval `step` [s]; the first sample is at `start` [s] from `moment` [ns since 1970]."""
 
     step: float
     start: float = 0.0
@@ -33,7 +33,7 @@ class Pace(NamedTuple):
 
 
 def pace_in(facts: Mapping[str, Any]) -> Pace | None:
-    """Return how far apart samples are by attributes, lines of a header or scalars; None where none says it.
+    """Return the sample interval by attributes, lines of a header or scalars; None where none states it.
 
     >>> pace_in({"Sample Interval": "0,5 ms"}), pace_in({"fs_khz": 2.0}), pace_in({"gain": 3})
     (Pace(step=0.0005, start=0.0, moment=None), Pace(step=0.0005, start=0.0, moment=None), None)

@@ -46,7 +46,7 @@ def _is_clock(source: Source, name: str) -> bool:
 
 
 def paced(source: Source, where: str) -> Source:
-    """Return a table that states how far apart its samples are with their times, where it has no others."""
+    """Return a table that states its sample interval with the times of samples, where it has no others."""
     head = _head(source) if source.pace else {}
     clocks = [name for name in source.names if _is_clock(source, name)]
     if not head or any(cell not in MISSING for name in clocks for cell in head[name]):
@@ -147,8 +147,8 @@ def by_rows(source: Source, where: str) -> Source:
     for name, filled in rows.items():
         if filled and name not in every:
             kinds[filled].append(name)
-    apart = sum(map(len, kinds)) == len(frozenset().union(*kinds)) and all(len(kind) > 1 for kind in kinds)
-    if len(kinds) < 2 or not apart or not any(_is_clock(source, name) for name in every):
+    separate = sum(map(len, kinds)) == len(frozenset().union(*kinds)) and all(len(kind) > 1 for kind in kinds)
+    if len(kinds) < 2 or not separate or not any(_is_clock(source, name) for name in every):
         return source
     data = source.numbers()
     parts = {}
@@ -210,8 +210,8 @@ def by_signal(source: Source, where: str) -> Source:
         return source
     labels, (value,) = np.array(source.labels(name)), numbers
     unit, signals = source.units.get(value) or split_unit(value)[1], list(dict.fromkeys(labels))
-    alike = unit and not (stamps and any(map(LABELS.fullmatch, words[name])))
-    if not 2 <= len(signals) <= len(labels) / 2 or alike:
+    one_quantity = unit and not (stamps and any(map(LABELS.fullmatch, words[name])))
+    if not 2 <= len(signals) <= len(labels) / 2 or one_quantity:
         return source
     beside = {n: n if _is_clock(source, n) else T for n in stamps[:1]} | dict.fromkeys(runs, RUN)
     data, mine = source.read([*beside, value]), {label: labels == label for label in signals}

@@ -36,8 +36,8 @@ class Source(ABC):
     stated. `unstated`: a question to answer before samples are read together. `read_with`: the options that
     it was read with, by name. `path`: where the file is on a disk. `ends`: time of the first and the last
     sample [s] that its format gives, and `since` what it counts from. `clocks`: of columns of times, what
-    knows the `moment` of their zero [ns since 1970] once they were read. `pace`: how far apart samples
-    are, if it states that. `filled`: whether the file says that no first cell is empty.
+    knows the `moment` of their zero [ns since 1970] once they were read. `pace`: the sample
+    interval, if it states one. `filled`: whether the file says that no first cell is empty.
     """
 
     names: tuple[str, ...]

@@ -96,7 +96,7 @@ class _Left:
         rows = self.rows * self.scale[:, None]
         projector = np.eye(len(rows)) - rows @ np.linalg.pinv(rows)
         left, square = projector @ free, projector.diagonal()
-        alike = projector**2 > (1 - residual.ISOLABLE) * np.outer(square, square)
+        confusable = projector**2 > (1 - residual.ISOLABLE) * np.outer(square, square)
         names = list(wave.readings)
         if len(names) == UNKNOWNS + 1:
             parity = np.linalg.svd(rows)[0][:, -1]
@@ -117,7 +117,7 @@ class _Left:
                 about = f"what {name} reads of no field"
                 reading = reading - self._entry(f"fit_offset_{name}", offset[k] * self.scale[k], about)
             total = reading - a * cos - b * sin
-            others = [wave.numbers[j] for j in np.flatnonzero(alike[k]) if j != k]
+            others = [wave.numbers[j] for j in np.flatnonzero(confusable[k]) if j != k]
             out.append(self._watched(f"left_{name}", total, left[k], (wave.numbers[k], *others)))
         return out
 

@@ -171,13 +171,14 @@ class Split:
             first = words[-1] + 1
             while first < start and len(self.rows[first]) == width and 0 < numeric[first] <= half:
                 first += 1
-            return max(names, key=self._told), first
+            return max(names, key=self._as_names), first
         first = next((k for k, row in enumerate(self.rows) if row), -1)
         if first < 0 or numeric[first] >= min(len(self.rows[first]), LOOKED_AT):
             return -1, 0
         return first, first + 1
 
-    def _told(self, k: int) -> tuple[int, int, int]:
+    def _as_names(self, k: int) -> tuple[int, int, int]:
+        """How well a line serves as names: different cells, those with a unit, its number."""
         row = self.rows[k]
         return min(len(set(row)), self.width), sum(bool(split_header(cell)[1]) for cell in row), k
 
