@@ -34,7 +34,7 @@ calibration does not describe a log, or the recording is at fault
 examples:
   hallsym evaluate calib.json other.csv
   hallsym evaluate calib.json week_*.tdms --plots pictures
-  hallsym evaluate calib.json today.mf4 --clock Hall:linear || mail -s 'calibrate again' lab
+  hallsym evaluate calib.json today.mf4 --clock Hall || mail -s 'calibrate again' lab
 """
 OPTIONS = f"""
 calibration CALIB               a calibration saved by 'hallsym fit -o'

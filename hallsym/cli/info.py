@@ -187,8 +187,6 @@ def _write(options: Namespace) -> int:
     from hallsym.families.suggest import suggest
 
     _, folder, source, where = _opened(options)
-    if source.unstated:
-        raise InputError(source.unstated)
     described = folder is not None and (folder / "meta.json").exists()
     found = suggest(source, options.model, Meta.read(folder / "meta.json") if folder and described else None)
     text = found.to_toml(where)

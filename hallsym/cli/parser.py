@@ -88,9 +88,8 @@ SHARED = {
 --column-file TOML              the same as a file: [columns] hall_a_um = "HallA"
 --join FILE <repeat>            another file of the same log (repeat): more runs where it has the same
     columns, else columns that are read at the times of the slower file
---clock GROUP:HOW               of several files, or of groups of one (TDMS, MDF, MCAP, HDF5), with clocks
-    of their own: whose samples become the rows, and how others are read there: Hall:linear or
-    Hall:nearest
+--clock GROUP                   of several files, or of groups of one (TDMS, MDF, MCAP, HDF5), with clocks
+    of their own: whose samples become the rows (default: the slowest); others are read there linearly
 --drop-bad                      leave out bad samples and runs and go on; they are counted
 --noise COLUMN=SIGMA <repeat>   1 sigma in SI: --noise hall_m=5e-7 (repeat); estimated from the log where
     not given

@@ -83,7 +83,6 @@ def _topic(path: Path, name: str, schema: Any, origin: int, left_out: dict[str, 
     ticks, *columns = (np.array(column) for column in zip(*rows, strict=True))
     source = Arrays({**dict(zip(stems, columns, strict=True)), TIME: (ticks - origin) * 1e-9})
     source.call({**stems, TIME: (TIME, "s")})
-    source.ends = float(source.columns[TIME][0]), float(source.columns[TIME][-1])
     source.since = "the stamps" if stamped else "the recording"
     return source
 

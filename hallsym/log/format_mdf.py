@@ -63,9 +63,6 @@ def _channels(path: Path, index: int, file: Any, left_out: dict[str, str]) -> Ve
         places[TIME], units[TIME] = next(iter(places.values())), "s"
     source = Vectors(units, int(group.channel_group.cycles_nr), read, partial(_opened, path))
     source.since = "the start of the measurement"
-    if TIME in places:
-        first, last = (float(read(file, [TIME], at, at + 1)[0][0]) for at in (0, source.rows - 1))
-        source.ends = first, last
     return source
 
 

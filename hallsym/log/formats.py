@@ -208,9 +208,8 @@ def read_log(
     noise. `noise` holds 1-sigma values, `{"hall_m": 5e-7}`, and wins over the column file and `meta.json`.
     `counts_per_turn`: of angles in counts (`{"angle_count": "raw"}`); it wins in the same way.
     Of a text file delimiter and decimal sign are recognised; `delimiter` ("tab" and "blank" are words for
-    them) and `decimal` state them. `sheet`: of a workbook that has several. `clock`: of a file whose channel
-    groups (TDMS, MDF, MCAP) have several, "Hall:linear": whose samples become the rows, and how channels of
-    other groups are read there, linear or nearest.
+    them) and `decimal` state them. `sheet`: of a workbook that has several. `clock`: the channel group (TDMS,
+    MDF, MCAP) or file whose samples become the rows, where there are several clocks; the slowest by default.
     `remembered`: columns as an earlier log was mapped (`Fit.columns`); those that this file has, and that
     nothing else gives, are read under the same names, and a note says so.
     `read_with`: options (`decimal`, `sheet`, ...) that an earlier log was read with (`Fit.read_with`), which
@@ -271,16 +270,14 @@ def _answered(
     words = ", ".join(f"{name} {text!r}" for name, text in known.items())
     tried = [(given, ()), ({**given, **known}, (f"The file is read as the calibration's log was: {words}.",))]
     errors = []
-    # a delimiter was stated because another one was recognised; the rest because it was asked for
-    for options, notes in tried[:: -1 if "delimiter" in known else 1] if known else tried[:1]:
+    # what was stated because something else was recognised goes first; what was asked for, last
+    first = not known.keys().isdisjoint(("delimiter", "clock"))
+    for options, notes in tried[:: -1 if first else 1] if known else tried[:1]:
         try:
-            opened = open_source(path, **options)
-            if not opened.source.unstated:
-                return opened, notes
-            errors.append(InputError(opened.source.unstated))
+            return open_source(path, **options), notes
         except InputError as error:
             errors.append(error)
-    raise errors["delimiter" in known]  # without the help of an earlier one
+    raise errors[first]  # without the help of an earlier one
 
 
 def files_of(path: str | Path) -> list[Path]:

@@ -10,117 +10,95 @@ from functools import cached_property
 
 import numpy as np
 
-from hallsym.errors import InputError, counted, nearest, quoted
+from hallsym.errors import InputError, counted, nearest
 from hallsym.log.columns import RUN, T, is_time_word
 from hallsym.log.pace import Paced
-from hallsym.log.table import CHUNK_ROWS, IN_MEMORY_ROWS, TIME, Source, exact, joined
-from hallsym.units import UNITS, Array, split_unit
+from hallsym.log.table import IN_MEMORY_ROWS, TIME, Source, exact
+from hallsym.units import UNITS, Array, Unit, split_unit
 
 RUN_SPACING_S = 1e6
 """Seconds between runs where a clock starts again in each: longer than any run lasts."""
+SLOW = {"degc", "a", "hz"}
+"""SI units of what changes slowly beside the motion: rows at the samples of it alone would miss it."""
 
 
 class Group:
     """Channels that were sampled together: columns of a source, of which that of time is the `clock`.
 
-    `ends`: time of the first and the last sample in seconds, None without a time base; `since`: from what
-    time counts, which two clocks must have in common; `moment`: that of its zero [ns since 1970], where it is
-    known; `timed`: whether time is one of its columns; `by_run`: whether it starts again in each run.
+    `timed`: whether time is one of its columns. Known after `begin`: `time` (rows,) [s], (0,) without a time
+    base; `since`: what it counts from, which two clocks must have in common.
     """
 
     def __init__(self, name: str, source: Source, mapped: Mapping[str, str] | None = None) -> None:
         """Look at the names. `mapped`: our names, with their units, of columns that somebody mapped."""
         self.name, self.source = name, source
         self.channels = tuple(c for c in source.names if c != TIME)
-        self.shift, self.timed, self.restarts, self.by_run = 0.0, True, False, False
         ours = {c: mapped[c] for c in self.channels if mapped and c in mapped}
         self.units = {**source.units, **{c: u.name for c, n in ours.items() if (u := split_unit(n)[1])}}
         given = [c for c in source.names if c == TIME]
         named = given or [c for c in self.channels if split_unit(ours.get(c, c))[0] == T]
-        timed = named or [c for c in self.channels if self.seconds(c)]
+        timed = named or [c for c in self.channels if self.unit(c).si == "s"]
         timed = timed or [c for c in self.channels if is_time_word(c) and c not in self.units]
         self.clock = timed[0] if len(timed) == 1 else ""
         if not timed and source.pace:
             self.source, self.clock, self.units[TIME] = Paced(source, source.pace), TIME, "s"
-        self.ends, self.since = self.source.ends, self.source.since
-        self.moment: int | None = None
-        self.step = 0.0
+        self.timed, self.time, self.since = True, np.empty(0), ""
 
     @cached_property
     def rows(self) -> int:
         """Samples; a file of text is counted when that is asked first."""
         return self.source.count()
 
-    def begin(self) -> None:
-        """Read the clock once, where the times of the first and the last sample are not known."""
-        if self.clock and not self.source.ends:
-            first, last = np.nan, -np.inf
-            for piece in self.chunks([TIME], CHUNK_ROWS):
-                time = piece[TIME]
-                self.restarts |= bool((np.diff(time, prepend=last) < 0).any())
-                self.step = self.step or usual_step(time)
-                first, last = float(time[0]) if last == -np.inf else first, float(time[-1])
-                self.ends = first, last
-            self.since = "zero" if self.seconds(self.clock) else "zero, in a unit that is not stated"
-        read = self.source.clocks.get(self.clock)
-        self.moment = read.moment if read else None
-        self.since = self.since if self.moment is None else "a moment"
+    def unit(self, name: str) -> Unit:
+        """Return the unit of a channel; one without a name where none is stated."""
+        stated = UNITS[self.units[name]] if name in self.units else split_unit(name)[1]
+        return stated or Unit("", "", 1.0)
+
+    def begin(self, by_run: bool) -> int | None:
+        """Read the clock, which starts again in each run if `by_run`; return its zero [ns since 1970]."""
+        if not self.clock:
+            return None
+        read, unit = self.source.read([self.clock, *([RUN] if by_run else [])]), self.unit(self.clock)
+        self.time = read[self.clock] * unit.factor + (RUN_SPACING_S * read[RUN] if by_run else 0.0)
+        known = self.source.clocks.get(self.clock)
+        moment = known.moment if known else None
+        named = "zero" if unit.si == "s" else "zero, in a unit that is not stated"
+        self.since = (self.source.since or named) if moment is None else "a moment"
+        return moment
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
-        """Yield consecutive chunks of exactly `size` rows, the last may be shorter; also of `TIME`."""
-        clock = [self.clock, *([RUN] if self.by_run else [])] if TIME in names else []
-        wanted = list(dict.fromkeys([*(name for name in names if name != TIME), *clock]))
-        for piece in exact(self.source.chunks(wanted, size), size, wanted):
-            yield {name: self._time(piece) if name == TIME else piece[name] for name in names}
+        """Yield consecutive chunks of exactly `size` rows, the last may be shorter."""
+        yield from exact(self.source.chunks(names, size), size, names)
 
-    def _time(self, piece: Mapping[str, Array]) -> Array:
-        time = piece[self.clock] * (self.seconds(self.clock) or 1.0) + self.shift
-        return np.asarray(time + RUN_SPACING_S * piece[RUN] if self.by_run else time)
-
-    def seconds(self, name: str) -> float:
-        """Return the seconds of a channel's unit, 0 where it has another unit."""
-        unit = UNITS[self.units[name]] if name in self.units else split_unit(name)[1]
-        return unit.factor if unit and unit.si == "s" else 0.0
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Time of the first and the last sample [s]; nan without a time base."""
+        return (float(self.time[0]), float(self.time[-1])) if len(self.time) else (math.nan, math.nan)
 
     @property
     def rate(self) -> float:
         """Samples a second on average; 0 where it is not known."""
-        first, last = self.ends or (0.0, 0.0)
+        first, last = self.ends
         return (self.rows - 1) / (last - first) if last > first else 0.0
+
+    @property
+    def moves(self) -> bool:
+        """Whether a channel may follow the motion."""
+        return not {self.unit(c).si for c in self.channels if c != self.clock} <= SLOW
 
     def said(self) -> str:
         """Return the group in words: `Hall (4 channels at 10 kHz)`."""
-        rate = f" at {hertz(self.rate)}" if self.rate else ""
-        return f"{self.name} ({counted(len(self.channels), 'channel')}{rate})"
+        rate = f"{self.rate / 1e3:.4g} kHz" if self.rate >= 1e3 else f"{self.rate:.4g} Hz"
+        return f"{self.name} ({counted(len(self.channels), 'channel')}{f' at {rate}' if self.rate else ''})"
 
 
-def on_one_scale(groups: Sequence[Group]) -> None:
-    """Let clocks that state a moment count from the earliest one, and those that start again run by run."""
-    if all(RUN in g.channels for g in groups):
-        for g in groups:
-            g.by_run, g.restarts = True, False
-            g.begin()
-            if g.restarts:
-                raise InputError(
-                    f"Time of {g.name} must rise in each run, and the numbers of its runs from run to run, to"
-                    " be joined with another file: sort it by run and time."
-                )
-    earliest = min((g.moment for g in groups if g.moment is not None), default=0)
-    for g in groups:
-        if g.moment is not None and g.ends:
-            g.shift = (g.moment - earliest) * 1e-9
-            g.ends = g.ends[0] + g.shift, g.ends[1] + g.shift
-
-
-def read_clock(text: str) -> tuple[str, str]:
-    """Read `GROUP:METHOD`: whose samples become the rows, and how other channels are read at them."""
-    group, colon, method = text.rpartition(":")
-    if not (colon and group) or method not in METHODS:
-        raise InputError(
-            f"Clock must be GROUP:METHOD with method {' or '.join(METHODS)}, such as Hall:linear; instead"
-            f" received {text!r}{nearest(method, list(METHODS))}."
-        )
-    return group, method
+def on_one_scale(groups: Sequence[Group]) -> bool:
+    """Read clocks; those that state a moment count from the earliest one; whether they start again by run."""
+    by_run = all(RUN in g.channels for g in groups)
+    moments = {g: moment for g in groups if (moment := g.begin(by_run)) is not None}
+    for g, moment in moments.items():
+        g.time = g.time + (moment - min(moments.values())) * 1e-9
+    return by_run
 
 
 def places(groups: Sequence[Group], by: str = "/") -> tuple[dict[str, tuple[Group, str]], dict[str, str]]:
@@ -131,7 +109,7 @@ def places(groups: Sequence[Group], by: str = "/") -> tuple[dict[str, tuple[Grou
     ends = Counter(channel for g in groups for channel in g.channels)
     places: dict[str, tuple[Group, str]] = {}
     aliases: dict[str, str] = {}
-    clocked: set[tuple[tuple[float, float] | None, int]] = set()
+    clocked: set[tuple[tuple[float, float], int]] = set()
     for g in groups:
         clock = (g.ends, g.rows)
         if g.timed and g.clock == TIME and clock not in clocked:
@@ -175,7 +153,7 @@ def on_one_clock(groups: Sequence[Group]) -> list[list[Group]]:
     that rate, which may pause between runs.
     """
     sets: list[list[Group]] = []
-    for g in sorted(groups, key=lambda g: (not g.ends, isinstance(g.source, Paced))):
+    for g in sorted(groups, key=lambda g: (not len(g.time), isinstance(g.source, Paced))):
         if (home := next((members for members in sets if _together(members[0], g)), None)) is None:
             sets.append([g])
         else:
@@ -184,17 +162,10 @@ def on_one_clock(groups: Sequence[Group]) -> list[list[Group]]:
 
 
 def _together(first: Group, g: Group) -> bool:
-    if first.rows != g.rows or not g.ends or (g.ends, g.since) == (first.ends, first.since):
+    if first.rows != g.rows or not len(g.time) or (g.ends, g.since) == (first.ends, first.since):
         return first.rows == g.rows
     rated = isinstance(g.source, Paced) and not isinstance(first.source, Paced)
-    return rated and math.isclose(first.step, g.source.pace.step, rel_tol=UNEVEN)
-
-
-def hertz(rate: float) -> str:
-    """Return a rate in words."""
-    if not rate:
-        return "without a time base"
-    return f"{rate / 1e3:.4g} kHz" if rate >= 1e3 else f"{rate:.4g} Hz"
+    return rated and math.isclose(usual_step(first.time), g.source.pace.step, rel_tol=UNEVEN)
 
 
 UNEVEN = 0.01
@@ -204,7 +175,11 @@ SHOWN_GROUPS = 4
 
 
 class GroupedSource(Source):
-    """One table of groups: those of a file, or whole files."""
+    """One table of groups: those of a file, or whole files.
+
+    Groups of the same channels are runs. Others have the rows of one clock, the slowest unless another is
+    stated; channels of another clock are read there linearly between two samples.
+    """
 
     def __init__(
         self,
@@ -219,8 +194,8 @@ class GroupedSource(Source):
     ) -> None:
         """Arrange groups of a `kind` ("TDMS") of what messages call `where`.
 
-        `by`: as in `places`. `files`: each group is a file; those of the same columns are runs whatever they
-        are called, others are read at the samples of the slowest where no `clock` is stated.
+        `clock`: the group whose samples become the rows. `by`: as in `places`. `files`: each group is a file;
+        those of the same columns are runs whatever they are called.
         """
         self.where = where
         most = max((g.rows for g in groups), default=0)
@@ -234,20 +209,13 @@ class GroupedSource(Source):
             if g not in filled
             for channel in g.channels
         }
-        stated = None if clock is None else read_clock(clock)
-        self.runs = {} if stated else runs(filled, named=not files)
-        if not self.runs and len(filled) > 1:
-            for g in filled:
-                g.begin()
-            on_one_scale(filled)
-        self.sets = [[next(iter(self.runs.values()))]] if self.runs else on_one_clock(filled)
-        if files and not stated and len(self.sets) > 1 and all(m[0].ends for m in self.sets):
-            stated = min((m[0] for m in self.sets), key=lambda g: g.rate).name, METHODS[0]
-        self.master = self._master(stated[0] if stated else "")
-        mine = next(members for members in self.sets if self.master in members)
-        self.others = [g for members in self.sets if members is not mine for g in members]
-        self.method = stated[1] if stated and self.others else ""
-        kept = [self.master, *(g for members in self.sets for g in members if g is not self.master)]
+        self.runs = {} if clock else runs(filled, named=not files)
+        self.by_run = not self.runs and len(filled) > 1 and on_one_scale(filled)
+        sets = [[next(iter(self.runs.values()))]] if self.runs else on_one_clock(filled)
+        self.master = self._master(sets, clock)
+        sets = [members for members in sets if len(members[0].time) or self.master in members]
+        self.others = [g for members in sets if self.master not in members for g in members]
+        kept = [self.master, *(g for members in sets for g in members if g is not self.master)]
         self._leave_others(kept[1:])
         self.places, self.aliases = places(kept, by)
         found = {name: g.units.get(channel) for name, (g, channel) in self.places.items()}
@@ -255,49 +223,51 @@ class GroupedSource(Source):
         self.numbered = bool(self.runs) and RUN not in self.places
         self.names = (*((RUN,) if self.numbered else ()), *self.places)
         rows = sum(g.rows for g in self.runs.values()) or self.master.rows
-        if not self.method:
+        if not self.others:
             self.rows = rows
         self.small = rows <= IN_MEMORY_ROWS
         self.recognised = self._said(kind, filled)
         noted = self.others or (files and len(filled) > 1)
         self.notes = (f"{where} is read as {self.recognised}.",) if noted else ()
-        self.unstated = self._ask() if self.others and not self.method else ""
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of at most `size` rows."""
         if self.runs:
             yield from self._chunks_of_runs(names, size)
-        elif self.method:
+        elif self.others:
             yield from self._resampled(names, size)
         else:
             yield from self._joined(names, size)
 
-    def _master(self, stated: str) -> Group:
+    def _master(self, sets: Sequence[Sequence[Group]], stated: str | None) -> Group:
         """Return the group whose samples are the rows; leave out what has no time base and another length."""
-        named = {g.name: g for members in self.sets for g in members}
+        named = {g.name: g for members in sets for g in members}
         if stated and stated not in named:
             raise InputError(
-                f"Log {self.where} has no group '{stated}'{nearest(stated, list(named))}; it has"
-                f" {', '.join(list(named)[:SHOWN_GROUPS])}."
+                f"Log {self.where} has no group '{stated}'{nearest(stated, list(named))} whose samples become"
+                f" the rows; it has {', '.join(list(named)[:SHOWN_GROUPS])}: name one of them with --clock."
             )
-        timed = [members for members in self.sets if members[0].ends]
-        usual = max(timed or self.sets, key=lambda members: sum(len(g.channels) for g in members))
-        master = named[stated] if stated else usual[0]
-        for g in (g for members in self.sets if master not in members for g in members if not g.ends):
+        timed = [members for members in sets if len(members[0].time)]
+        moving = [members for members in timed if any(g.moves for g in members)] or timed
+        if moving:
+            usual = min(moving, key=lambda members: members[0].rate)[0]
+        else:
+            usual = max(sets, key=lambda members: sum(len(g.channels) for g in members))[0]
+        master = named[stated] if stated else usual
+        for g in (g for members in sets if master not in members for g in members if not len(g.time)):
             why = f"it has no time base and {g.rows} values where the others have {master.rows}"
             self.left_out.update(dict.fromkeys(g.channels, why))
-        self.sets = [members for members in self.sets if members[0].ends or master in members]
-        if stated and not master.ends:
+        if stated and len(sets) > 1 and not len(master.time):
             raise InputError(
                 f"Group {master.name} of {self.where} has no time base; its samples cannot be the clock."
             )
         return master
 
     def _leave_others(self, groups: Sequence[Group]) -> None:
-        """Leave out runs and times of other `groups` that the master has; where it is stated, all times."""
+        """Leave out runs and times of other `groups` that the master has; on other clocks, all times."""
         for g in groups:
             dropped = {RUN: "run"} if RUN in self.master.channels else {}
-            if self.method if g in self.others else self.master.clock:
+            if g in self.others or self.master.clock:
                 dropped[g.clock], g.timed = "time", False
             for name in [c for c in g.channels if c in dropped]:
                 self.left_out[f"{g.name}/{name}"] = f"it is the {dropped[name]} of {g.name}"
@@ -309,33 +279,22 @@ class GroupedSource(Source):
         if self.runs:
             counted_from_0 = any(number_of(g.name) != k for k, g in self.runs.items())
             named = ", ".join(f"run {k} is {g.name}" for k, g in list(self.runs.items())[:SHOWN_GROUPS])
-            each = f"{named}{more}" if counted_from_0 else f"each as {self.sets[0][0].said()}"
+            each = f"{named}{more}" if counted_from_0 else f"each as {self.master.said()}"
             return f"{kind}: {len(self.runs)} runs, {each}"
         text = f"{kind}: {named}{more}"
-        if not self.method:
-            return f"{text} on {len(self.sets)} clocks" if self.others else text
-        linear = "linear between samples (whole numbers: the nearest)"
-        how = "the nearest sample" if self.method == "nearest" else linear
+        if not self.others:
+            return text
         begin, end = self._shared()
         cut = (begin, end) != self.master.ends
         left = f", from {begin:.6g} to {end:.6g} s, where all were recorded" if cut else ""
-        left = ", run by run" if self.master.by_run else left
-        return f"{text}, at the samples of {self.master.name}, other groups {how}{left}"
-
-    def _ask(self) -> str:
-        clocks = [members[0] for members in self.sets]
-        named = ", ".join(f"{g.name} {hertz(g.rate)}" for g in clocks[:SHOWN_GROUPS])
-        first = quoted(f"{self.master.name}:linear")
         return (
-            f"Log {self.where} has {len(clocks)} clocks ({named}): say whose samples become the rows and how"
-            f" the others are read there, linear or nearest, with --clock {first}."
+            f"{text}, at the samples of {self.master.name} (--clock), other groups linear between samples"
+            f" (whole numbers: the nearest){', run by run' if self.by_run else left}"
         )
 
     def _joined(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield columns of groups that have one clock."""
         wanted = _by_group(self.places, names)
-        if sum(any(g in members for g in wanted) for members in self.sets) > 1:
-            raise InputError(self.unstated)
         streams = [g.chunks([channel for _, channel in asked], size) for g, asked in wanted.items()]
         for pieces in zip(*streams, strict=True):
             parts = zip(wanted.values(), pieces, strict=True)
@@ -351,44 +310,53 @@ class GroupedSource(Source):
 
     def _resampled(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield columns at the samples of the master, those between which all groups were recorded."""
-        wanted, (begin, end) = _by_group(self.places, names), self._shared()
-        turns = {name: self._turn(name) for name in names}
-        fastest = max(g.rate for g in self.others)  # a chunk of it is in memory beside ours
-        size = max(1, int(size * min(1.0, self.master.rate / fastest))) if fastest else size
-        followers = [Follower(g, wanted[g], turns, self.where) for g in self.others if g in wanted]
-        read = {name for follower in followers for name, _ in follower.wanted}
+        wanted, (begin, end), row = _by_group(self.places, names), self._shared(), 0
+        others = {g: g.source.read([c for _, c in asked]) for g, asked in wanted.items() if g in self.others}
         mine = [name for name, (g, _) in self.places.items() if g is self.master]
-        own = [name for name in names if name not in read] or mine[:1]
-        last = np.empty(0)
-        for piece, times in zip(self._joined(own, size), self.master.chunks([TIME], size), strict=True):
-            time = times[TIME]
-            check_rising(np.concatenate([last, time]), self.master.name, self.where)
-            last, inside = time[-1:], (time >= begin) & (time <= end)
-            if inside.any():
-                found = {name: values[inside] for name, values in piece.items()}
-                keep = np.ones(len(time[inside]), bool)
-                for follower in followers:
-                    found |= follower.at(time[inside], self.method)
-                    keep &= ~follower.between
-                if keep.any():
-                    yield {name: found[name][keep] for name in names}
+        own = [name for name in names if self.places[name][0] not in others] or mine[:1]
+        for piece in self._joined(own, size):
+            time = self.master.time[row : row + len(piece[own[0]])]
+            row += len(time)
+            keep = (time >= begin) & (time <= end)
+            found = {n: time if self.places[n][1] == TIME else values for n, values in piece.items()}
+            for g, values in others.items():
+                turns = {name: (values[channel], self._turn(name)) for name, channel in wanted[g]}
+                read, between = read_at(time, g.time, turns)
+                found |= read
+                keep &= ~between
+            if keep.any():
+                yield {name: found[name][keep] for name in names}
 
     def _shared(self) -> tuple[float, float]:
         """Return the times between which all groups were recorded."""
-        ends = [g.ends or (0.0, 0.0) for g in (self.master, *self.others)]
-        begin, end = max(first for first, _ in ends), min(last for _, last in ends)
-        for g, (first, last) in zip(self.others, ends[1:], strict=True):
-            if g.since != self.master.since:
+        all_of = (self.master, *self.others)
+        for g in all_of:
+            self._check_rising(g)
+        begin, end = max(g.ends[0] for g in all_of), min(g.ends[1] for g in all_of)
+        (first, last), master = self.master.ends, self.master
+        for g in self.others:
+            if g.since != master.since:
                 raise InputError(
-                    f"Groups {self.master.name} and {g.name} of {self.where} count time from different starts"
-                    f" ({self.master.since} and {g.since}); they cannot be put on one clock."
+                    f"Groups {master.name} and {g.name} of {self.where} count time from different starts"
+                    f" ({master.since} and {g.since}); they cannot be put on one clock."
                 )
             if begin >= end:
                 raise InputError(
-                    f"{self.master.name} ({ends[0][0]:.6g} to {ends[0][1]:.6g} s) and {g.name} ({first:.6g}"
-                    f" to {last:.6g} s) of {self.where} must overlap in time; count both from one start."
+                    f"{master.name} ({first:.6g} to {last:.6g} s) and {g.name} ({g.ends[0]:.6g} to"
+                    f" {g.ends[1]:.6g} s) of {self.where} must overlap in time; count both from one start."
                 )
         return begin, end
+
+    def _check_rising(self, g: Group) -> None:
+        """Refuse a clock that goes back."""
+        rising = np.diff(g.time) >= 0
+        if not rising.all():
+            at = int(np.argmin(rising))
+            by_run = " in each run, and run numbers from run to run" if self.by_run else ""
+            raise InputError(
+                f"Time of {g.name} of {self.where} must rise{by_run}, to be put on one clock with others; it"
+                f" goes back after sample {at + 1}: sort it by time, or split it there."
+            )
 
     def _turn(self, name: str) -> float | None:
         """Return a full turn in the unit of an angle, 0 for another column; None for counts and runs."""
@@ -407,75 +375,36 @@ def _by_group(
     return found
 
 
-METHODS = ("linear", "nearest")
 LONGEST_GAP = 4.0
 """Periods of a channel between two of its samples that are bridged: three lost samples in a row. Within a
 longer gap the channel has no value (NaN), so that a pause between runs is no straight line."""
-AT_ONCE = 4096
-"""Samples of a group that are read ahead."""
 FOR_PERIOD = 1000
 """Samples from which the period of a group is taken; a pause between them is not in the median."""
 
 
-class Follower:
-    """One group read along the clock of another; it holds the samples about the rows asked for, no more."""
+def read_at(
+    time: Array, own: Array, columns: Mapping[str, tuple[Array, float | None]]
+) -> tuple[dict[str, Array], Array]:
+    """Return columns at times, linearly between their samples at the rising times `own`, each (times,).
 
-    def __init__(
-        self,
-        group: Group,
-        wanted: Sequence[tuple[str, str]],
-        turns: Mapping[str, float | None],
-        where: str,
-    ) -> None:
-        """Begin a pass for columns and their channels; `between`: which of the last rows no run of it has.
-
-        `turns`: by column a full turn of an angle, 0 for others; None for whole numbers, between which there
-        is nothing. Messages call the file `where`.
-        """
-        self.group, self.wanted, self.turns, self.where = group, list(wanted), turns, where
-        self.names = [TIME, *dict.fromkeys(channel for _, channel in wanted)]
-        self._pieces = iter(group.chunks(self.names, AT_ONCE))
-        self._buffer = {name: np.empty(0, bool) for name in self.names}  # joining keeps the other type
-        self._more()
-        self.between = np.empty(0, bool)
-        self._longest = LONGEST_GAP * usual_step(self._buffer[TIME])
-
-    def at(self, time: Array, method: str) -> dict[str, Array]:
-        """Return the columns at rising times, each of shape (times,); NaN where the group has no value."""
-        while (not len(self._buffer[TIME]) or self._buffer[TIME][-1] < time[-1]) and self._more():
-            pass
-        own = self._buffer[TIME]
-        keep = max(0, min(int(np.searchsorted(own, time[0], "right")) - 1, len(own) - 2))
-        self._buffer = {name: values[keep:] for name, values in self._buffer.items()}
-        own = self._buffer[TIME]
-        self.between = np.zeros(len(time), bool)
-        if len(own) < 2:
-            return {column: np.full(len(time), np.nan) for column, _ in self.wanted}
-        after = np.searchsorted(own, time, "left").clip(1, len(own) - 1)
-        before = after - 1
-        left, right = own[before], own[after]
-        inside = (time >= left) & (time <= right) & (right - left <= self._longest)
-        known = inside | (time == left) | (time == right)
-        self.between = ~known & (right - left > RUN_SPACING_S / 2)
-        share = np.divide(time - left, right - left, out=np.zeros(len(time)), where=right > left)
-        out = {}
-        for column, channel in self.wanted:
-            values, turn = self._buffer[channel], self.turns[column]
-            if method == "nearest" or values.dtype.kind != "f" or turn is None:
-                found = values[np.where(share > 0.5, after, before)].astype(np.float64)
-            else:
-                found = _between(values[before], values[after], share, turn)
-            out[column] = np.where(known, found, np.nan)
-        return out
-
-    def _more(self) -> bool:
-        """Read the next chunk; whether there was one."""
-        piece = next(self._pieces, None)
-        if piece is None:
-            return False
-        check_rising(np.r_[self._buffer[TIME][-1:], piece[TIME]], self.group.name, self.where)
-        self._buffer = joined([self._buffer, piece], self.names)
-        return True
+    Columns have the full turn of an angle, which takes the short way round; 0 for others; None for whole
+    numbers, of which the nearest is taken. NaN where there is no value. Also returned: which times lie
+    between two runs.
+    """
+    after = np.searchsorted(own, time, "left").clip(1, len(own) - 1)
+    before = after - 1
+    left, right = own[before], own[after]
+    inside = (time >= left) & (time <= right) & (right - left <= LONGEST_GAP * usual_step(own))
+    known = inside | (time == left) | (time == right)
+    share = np.divide(time - left, right - left, out=np.zeros(len(time)), where=right > left)
+    found = {}
+    for name, (values, turn) in columns.items():
+        if values.dtype.kind != "f" or turn is None:
+            read = values[np.where(share > 0.5, after, before)].astype(np.float64)
+        else:
+            read = _between(values[before], values[after], share, turn)
+        found[name] = np.where(known, read, np.nan)
+    return found, ~known & (right - left > RUN_SPACING_S / 2)
 
 
 def _between(low: Array, high: Array, share: Array, turn: float) -> Array:
@@ -495,13 +424,3 @@ def usual_step(time: Array) -> float:
     """Return the median step of the first times; infinite where there is none."""
     steps = np.diff(time[:FOR_PERIOD])
     return float(np.median(steps)) if len(steps) else np.inf
-
-
-def check_rising(time: Array, name: str, where: str) -> None:
-    """Refuse a clock that goes back."""
-    if len(time) > 1 and not (np.diff(time) >= 0).all():
-        at = int(np.argmin(np.diff(time) >= 0))
-        raise InputError(
-            f"Time of group {name} of {where} must rise; after {time[at]:.9g} s comes {time[at + 1]:.9g} s,"
-            " so it cannot be put on one clock with others: split the log there."
-        )

@@ -33,11 +33,10 @@ class Source(ABC):
     `small`: whether whole columns may be kept in memory. `left_out`: why a vector cannot be a column, by its
     name. `aliases`: short names by long name, a path in a struct or a group. `units`: stated by the file
     beside a name, by name (`hallsym.units`). `notes` on the file; `recognised`: its format, if that was not
-    stated. `unstated`: a question to answer before samples are read together. `read_with`: the options that
-    it was read with, by name. `path`: where the file is on a disk. `ends`: time of the first and the last
-    sample [s] that its format gives, and `since` what it counts from. `clocks`: of columns of times, what
-    knows the `moment` of their zero [ns since 1970] once they were read. `pace`: the sample
-    interval, if it states one. `filled`: whether the file says that no first cell is empty.
+    stated. `read_with`: the options that it was read with, by name. `path`: where the file is on a disk.
+    `since`: what the times count from that its format gives. `clocks`: of columns of times, what knows the
+    `moment` of their zero [ns since 1970] once they were read. `pace`: the sample interval, if it states one.
+    `filled`: whether the file says that no first cell is empty.
     """
 
     names: tuple[str, ...]
@@ -48,10 +47,8 @@ class Source(ABC):
     units: Mapping[str, str] = {}
     recognised: str = ""
     notes: tuple[str, ...] = ()
-    unstated: str = ""
     read_with: Mapping[str, str] = {}
     path: Path | None = None
-    ends: tuple[float, float] | None = None
     since: str = ""
     clocks: Mapping[str, Any] = {}
     pace: Any = None

@@ -1,4 +1,4 @@
-"""TDMS, MDF and MCAP: what their own libraries write is read as the same numbers, on one stated clock."""
+"""TDMS, MDF and MCAP: what their own libraries write is read as the same numbers, on one clock."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import pytest
 from bench_files import LIBRARY, WRITERS, Columns, Rates, hidden
 from log_samples import one_sentence, stage_arrays
 
-from hallsym.cli.main import main
 from hallsym.errors import InputError
 from hallsym.log import check_log, groups, read_log, write_log
 from hallsym.log.groups import GroupedSource
@@ -79,36 +78,16 @@ def test_names_units_and_numbers_are_those_of_the_file(
     assert np.array_equal(np.concatenate([b.data["x_ref_m"] for b in blocks]), log.array("x_ref_m"))
 
 
-def test_two_clocks_are_asked_for(tmp_path: Path, suffix: str, capsys: pytest.CaptureFixture[str]) -> None:
-    path = written(tmp_path / f"log{suffix}", two_rates())
-    hall = topic(suffix, HALL)
-    refused(path, f"has 2 clocks .*{hall} 1 kHz.*--clock {hall}:linear")
-    assert main(["info", str(path)]) == 2
-    shown = capsys.readouterr()
-    assert "on 2 clocks" in shown.out
-    assert "hall_a [um]" in shown.out
-    assert "--clock" in shown.err
-    assert main(["info", str(path), "--clock", f"{hall}:nearest"]) == 0
-    shown = capsys.readouterr()
-    assert f"at the samples of {hall}, other groups the nearest sample" in shown.out
-
-
-def expected(method: str, when: np.ndarray, time: np.ndarray, found: np.ndarray) -> np.ndarray:
-    if method == "linear":
-        return np.interp(when, time, found)
-    return found[np.abs(when[:, None] - time[None, :]).argmin(1)]
-
-
-@pytest.mark.parametrize("method", ["linear", "nearest"])
-@pytest.mark.parametrize("clock", [HALL, REFERENCE])
+@pytest.mark.parametrize("clock", [HALL, REFERENCE, None])
 @pytest.mark.parametrize("limit", [10**9, 100])
-def test_the_stated_clock_is_what_numpy_gives(
-    tmp_path: Path, suffix: str, clock: str, method: str, limit: int, monkeypatch: pytest.MonkeyPatch
+def test_other_clocks_are_read_as_numpy_reads_them(
+    tmp_path: Path, suffix: str, clock: str | None, limit: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(groups, "IN_MEMORY_ROWS", limit)
     monkeypatch.setattr("hallsym.log.table.CHUNK_ROWS", 64)
     path = written(tmp_path / f"log{suffix}", two_rates(400))
-    log = read_log(path, clock=f"{topic(suffix, clock)}:{method}")
+    log = read_log(path, clock=clock and topic(suffix, clock))
+    clock = clock or REFERENCE  # the slower one
     rates, other = two_rates(400), REFERENCE if clock == HALL else HALL
     time = {g: first + np.arange(len(next(iter(c.values())))) / rate for g, (first, rate, c) in rates.items()}
     begin, end = max(t[0] for t in time.values()), min(t[-1] for t in time.values())
@@ -118,34 +97,19 @@ def test_the_stated_clock_is_what_numpy_gives(
     assert log.rows == inside.sum() == len(when)
     assert np.allclose(when, time[clock][inside], rtol=0, atol=1e-9)
     assert np.allclose(log.array(own), rates[clock][2][own][inside], rtol=1e-12, atol=1e-18)
-    truth = expected(method, when, time[other], rates[other][2][followed])
     found = np.concatenate([b.data[followed] for b in log.blocks([own, followed], size=33)])
+    truth = np.interp(when, time[other], rates[other][2][followed])
     assert np.allclose(found, truth, rtol=0, atol=1e-11)
-    assert any("is read as" in note and method in note for note in log.notes)
+    assert f"at the samples of {topic(suffix, clock)} (--clock)" in " ".join(log.notes)
 
 
-@pytest.mark.parametrize("size", [1, 3, 50])
-@pytest.mark.parametrize("method", ["linear", "nearest"])
-@pytest.mark.parametrize("ratio", [0.1, 1.0, 7.3])
-def test_pieces_of_any_size_give_the_same(
-    size: int, method: str, ratio: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("hallsym.log.groups.AT_ONCE", 2)
-    rng = np.random.default_rng(5)
-    time, other = np.arange(60) / 10, np.sort(rng.uniform(0, 6, round(60 / ratio)))
-    other = np.linspace(0, 6, len(other)) if ratio != 1.0 else time.copy()
-    found = rng.normal(size=len(other))
-
-    parts = {"own": {"t_s": time}, "other": {"t_s": other, "x": found}}
+def test_a_slow_temperature_is_no_clock_of_the_rows() -> None:
+    fast, slow = np.arange(500) * 0.01, np.arange(6) * 1.0
+    parts = {"hall": {"t_s": fast, "hall_a_m": fast}, "warm": {"t_s": slow, "temperature_degc": 20 + slow}}
     joined = [groups.Group(name, Arrays(columns)) for name, columns in parts.items()]
-    source = GroupedSource("log", "arrays", joined, {}, f"own:{method}", files=True)
-    pieces = list(source.chunks(["t_s", "x"], size))
-    time, values = (np.concatenate([piece[name] for piece in pieces]) for name in ("t_s", "x"))
-    truth = expected(method, time, other, found)
-    inside = (time >= other[0]) & (time <= other[-1])
-    away = np.abs(np.abs(time[:, None] - other[None, :]).min(1) - (other[1] - other[0]) / 2) > 1e-6
-    assert np.allclose(values[inside & away], truth[inside & away], rtol=0, atol=1e-9)
-    assert inside.all()
+    source = GroupedSource("log", "arrays", joined, {}, None, files=True)
+    assert source.count() == 500
+    assert np.allclose(source.read(["temperature_degc"])["temperature_degc"], 20 + fast)
 
 
 def test_a_long_gap_is_not_bridged(tmp_path: Path) -> None:
@@ -160,11 +124,11 @@ def test_a_long_gap_is_not_bridged(tmp_path: Path) -> None:
     file.append([asammdf.Signal(np.sin(t[kept]), t[kept], name="x_ref", unit="mm")], acq_name="R")
     file.append([asammdf.Signal(t, t, name="z", unit="mm")], acq_name="H")
     file.save(str(tmp_path / "log.mf4"))
-    log = read_log(tmp_path / "log.mf4", clock="H:linear")
+    log = read_log(tmp_path / "log.mf4", clock="H")
     none = np.flatnonzero(np.isnan(log.array("x_ref_m")))
     assert none.tolist() == list(range(121, 127))
-    refused(tmp_path / "log.mf4", "x_ref_m", clock="H:linear")
-    assert read_log(tmp_path / "log.mf4", clock="H:linear", drop_bad=True).rows == 194
+    refused(tmp_path / "log.mf4", "x_ref_m", clock="H")
+    assert read_log(tmp_path / "log.mf4", clock="H", drop_bad=True).rows == 194
 
 
 def test_an_angle_that_begins_again_is_read_the_short_way(tmp_path: Path) -> None:
@@ -179,7 +143,7 @@ def test_an_angle_that_begins_again_is_read_the_short_way(tmp_path: Path) -> Non
                 ChannelObject("V", "v_sin", np.ones(1991), {"wf_increment": 0.001, "unit_string": "V"}),
             ]
         )
-    log = read_log(tmp_path / "log.tdms", clock="V:linear")
+    log = read_log(tmp_path / "log.tdms", clock="V")
     truth = np.deg2rad(np.interp(log.array("t_s"), np.arange(200) / 100, turn))
     off = np.angle(np.exp(1j * (log.array("angle_ref_rad") - truth)))
     assert np.abs(off).max() < 1e-9
@@ -217,17 +181,10 @@ def test_units_that_differ_between_files_are_converted_or_refused(tmp_path: Path
 
 def test_wrong_clocks(tmp_path: Path, suffix: str) -> None:
     path = written(tmp_path / f"log{suffix}", two_rates(200))
-    for clock, says in (
-        ("linear", "GROUP:METHOD"),
-        ("Hall:cubic", "linear or nearest"),
-        ("Hell:linear", r"has no group 'Hell' \(did you mean"),
-    ):
-        with pytest.raises(InputError, match=says) as error:
-            read_log(path, clock=clock)
-        assert one_sentence(str(error.value))
+    refused(path, r"has no group 'Hell' \(did you mean", clock="Hell")
     write_log(stage_arrays(), tmp_path / "log.csv")
     with pytest.raises(InputError, match="Option clock must be left out"):
-        read_log(tmp_path / "log.csv", clock="Hall:linear")
+        read_log(tmp_path / "log.csv", clock="Hall")
 
 
 @pytest.mark.parametrize(
@@ -260,7 +217,7 @@ def test_clocks_that_count_from_different_starts_are_refused(tmp_path: Path) -> 
                 ChannelObject("B", "z_m", np.arange(99.0), {"wf_increment": 0.05}),
             ]
         )
-    refused(tmp_path / "log.tdms", "count time from different starts", clock="A:linear")
+    refused(tmp_path / "log.tdms", "count time from different starts", clock="A")
 
 
 def test_a_clock_that_goes_back_is_refused(tmp_path: Path) -> None:
@@ -276,4 +233,4 @@ def test_a_clock_that_goes_back_is_refused(tmp_path: Path) -> None:
                 ChannelObject("B", "z_m", np.arange(99.0), {"wf_increment": 0.05}),
             ]
         )  # fmt: skip
-    refused(tmp_path / "log.tdms", "must rise", clock="B:linear")
+    refused(tmp_path / "log.tdms", "must rise", clock="B")

@@ -234,7 +234,7 @@ def test_two_files_are_joined_by_time_and_nothing_is_extrapolated(tmp_path: Path
     assert (log.array("t_s")[0], log.rows) == (pytest.approx(0.0, abs=1e-9), 40)
     assert np.allclose(log.array("hall_a_m"), np.interp(log.array("t_s"), fast, np.sin(fast)), atol=1e-12)
     assert any("at the samples of laser" in note and "from 0 to 3.9 s" in note for note in log.notes)
-    other = read_log([tmp_path / "hall.csv", tmp_path / "laser.parquet"], clock="hall:nearest")
+    other = read_log([tmp_path / "hall.csv", tmp_path / "laser.parquet"], clock="hall")
     assert other.rows == 391
     write_log({"t_s": slow + 100, "x_ref_m": slow}, tmp_path / "laser.csv")
     with pytest.raises(InputError, match="must overlap in time"):
@@ -318,7 +318,7 @@ def test_files_whose_clocks_start_again_are_joined_run_by_run(tmp_path: Path, ru
     write_log(halls, tmp_path / "hall.csv")
     files = [tmp_path / "ref.csv", tmp_path / "hall.csv"]
     if runs != tuple(sorted(runs)):
-        with pytest.raises(InputError, match="Time of ref must rise in each run, and the numbers"):
+        with pytest.raises(InputError, match=r"Time of ref .* in each run, and run numbers"):
             read_log(files)
         return
     log = read_log(files)
