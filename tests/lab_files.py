@@ -91,13 +91,8 @@ NAMES = {
     "z_m": "Z", "rx_rad": "Rx", "ry_rad": "Ry", "x_ref_m": "Laser X", "y_ref_m": "Laser Y",
     "rz_ref_rad": "Laser Rz",
 }  # fmt: skip
-GERMAN = NAMES | {"t_s": "Zeit", "z_m": "Höhe", "x_ref_m": "Interferometer X",
-                  "y_ref_m": "Interferometer Y", "rz_ref_rad": "Interferometer Rz"}  # fmt: skip
 UNDER = {c: n.replace(" ", "_") for c, n in NAMES.items()}
 JOINED = {c: n.replace(" ", "") for c, n in NAMES.items()}
-PATHS = {c: f"Root/Hall/{n[-1]}" if c.startswith("hall") else f"Root/{n.replace(' ', '/')}"
-         for c, n in NAMES.items()}  # fmt: skip
-NUMBERED = NAMES | {"hall_a_m": "Hall", "hall_b_m": "Hall [um].1", "hall_c_m": "Hall [um].2"}
 OURS = {c: c if c == "run" else c.rpartition("_")[0] for c in NAMES} | {"run": "Run"}
 CHINESE = {c: n.replace("Hall ", "霍尔").replace("Laser ", "激光") for c, n in NAMES.items()}
 CHINESE |= {"run": "次数", "t_s": "时间", "z_m": "高度"}
@@ -228,12 +223,6 @@ def text(
     return save
 
 
-def in_two_rows(names: list[str]) -> str:
-    """Units in parentheses in a second row."""
-    units = [f"({unit})" if unit else "" for _, unit, _ in named(dict.fromkeys(names))]
-    return "\t".join(n.partition("|")[0] for n in names) + "\n" + "\t".join(units)
-
-
 def of_labview(names: list[str]) -> str:
     """The header of a LabVIEW measurement file with decimal commas."""
     units = "\t".join(n.partition("|")[2] for n in names[1:-1])
@@ -293,18 +282,6 @@ def lost_samples(file: Path, columns: Columns) -> None:
     text()(file, cells)
 
 
-def units_in_cells(file: Path, columns: Columns) -> None:
-    """A unit behind each number."""
-    text()(file, {n: [f"{x:.10g} {SYMBOL.get(u, u)}".strip() for x in v] for n, u, v in named(columns)})
-
-
-def fortran(file: Path, columns: Columns) -> None:
-    """Columns of a fixed width whose exponents have a D."""
-    rows = zip(*columns.values(), strict=True)
-    lines = ["  ".join(f"{x:20.12E}".replace("E", "D") for x in row) for row in rows]
-    file.write_text("\n".join(["  ".join(f"{n:>20}" for n in columns), *lines, ""]), encoding="utf-8")
-
-
 def row_per_value(file: Path, columns: Columns) -> None:
     """Time, name and value in each row, and columns that tell nothing, as databases of series export them."""
     t = columns.pop("time_s")
@@ -322,14 +299,6 @@ def annotated_series(file: Path, columns: Columns) -> None:
              "#datatype,string,long,dateTime:RFC3339,dateTime:RFC3339,dateTime:RFC3339,double,string,string",
              ",result,table,_start,_stop,_time,_value,_field,_measurement"]  # fmt: skip
     file.write_text("\n".join([*notes, *rows, ""]), encoding="utf-8")
-
-
-def words_between(file: Path, columns: Columns) -> None:
-    """What a board prints besides its numbers, before, between and after them."""
-    text()(file, columns)
-    lines = file.read_text().splitlines()
-    lines[400:400], lines[900:900] = ["WARN: 31.5 degC"], ["I2C retry"]
-    file.write_text("\n".join(["Booting v1.3 ...", *lines, "done, thank you", ""]))
 
 
 def names_before_numbers(file: Path, columns: Columns) -> None:
@@ -361,24 +330,6 @@ def own_rows(file: Path, columns: Columns) -> None:
                 usual(at.get(n, x[k])) if n in at or (n in late) == mine else "" for n, x in columns.items()
             ))  # fmt: skip
     file.write_text("\n".join([*lines, ""]), encoding="utf-8")
-
-
-def beside_meta(file: Path, columns: Columns) -> None:
-    """A folder whose meta.json states the noise of a channel that is not there."""
-    file.parent.mkdir()
-    text()(file, columns)
-    noise = {"hall_m": 5e-7, "channel_v": 1e-3}
-    (file.parent / "meta.json").write_text(json.dumps({"noise_1sigma": noise}))
-
-
-def with_statistics(file: Path, columns: Columns) -> None:
-    """A table and, below it, the mean and the extremes of each column."""
-    text()(file, columns)
-    rows = [
-        f"{name},{','.join(usual(of(x)) for x in list(columns.values())[1:])}"
-        for name, of in (("Mean", np.mean), ("Std. dev.", np.std), ("Max", np.max))
-    ]
-    file.write_text("\n".join([file.read_text(encoding="utf-8"), "Statistics", *rows, ""]), encoding="utf-8")
 
 
 def segments(path: Path, data: Columns) -> Written:
@@ -473,14 +424,6 @@ def book(file: Path, pages: Mapping[str, Sequence[tuple[int, int, Sequence]]]) -
             page = made.add_worksheet(name)
             for row, column, values in cells:
                 page.write_column(row, column, values)
-
-
-def titled_sheet(file: Path, columns: Columns) -> None:
-    """A sheet whose table begins in B4 under a title, with a row of units; notes on another sheet."""
-    table = [(3, k, [name, f"[{unit}]" if unit else "", *x.tolist()])
-             for k, (name, unit, x) in enumerate(named(columns), 1)]  # fmt: skip
-    title = (0, 1, ["Stage 12, calibration"])
-    book(file, {"Notes": [(0, 0, ["Operator", "M.", "Room 12"])], "Data": [title, *table]})
 
 
 def merged_cells(file: Path, columns: Columns) -> None:
@@ -638,16 +581,6 @@ def one_matrix(path: Path, data: Columns, save: Callable[[dict], str]) -> Writte
     return Written([word], known | {c: Known(f"hall_um_{i}", "um") for i, c in enumerate(HALLS)})
 
 
-def numpy_arrays(path: Path, data: Columns) -> Written:
-    """npz with names of variables, one of them a matrix."""
-
-    def save(others: dict) -> str:
-        np.savez(path / "log.npz", hall_um=inside(data, *HALLS), sample_rate=200.0, **others)
-        return str(path / "log.npz")
-
-    return one_matrix(path, data, save)
-
-
 def matlab_73(path: Path, data: Columns) -> Written:
     """MATLAB 7.3, which is HDF5: vectors are rows, a matrix stands on its side."""
     import h5py
@@ -665,11 +598,6 @@ def matlab_73(path: Path, data: Columns) -> Written:
         return str(path / "v73.mat")
 
     return one_matrix(path, data, save)
-
-
-def structured_array(file: Path, columns: Columns) -> None:
-    """One structured array, saved by numpy."""
-    np.savez(file, log=np.rec.fromarrays(list(columns.values()), names=list(columns)))
 
 
 def arrow(file: Path, columns: Columns) -> None:
@@ -705,26 +633,6 @@ def json_runs(file: Path, columns: Columns) -> None:
     runs = ({"Run": k, "fs": 200, **{n: x.tolist() for n, x in part.items()}}
             for k, part in parts_by_run(columns))  # fmt: skip
     file.write_text("".join(f"{json.dumps(run)}\n" for run in runs))
-
-
-def json_lines(path: Path, data: Columns) -> Written:
-    """JSON lines, with objects in objects."""
-    lines = []
-    for k in range(len(data["run"])):
-        at = {c: float(within(x[k], UNIT.get(c, ""))) for c, x in data.items()}
-        lines.append(json.dumps({
-            "run": int(at["run"]), "t_ms": at["t_s"], "hall_um": {i: at[f"hall_{i}_m"] for i in "abc"},
-            "ref": {"x_um": at["x_ref_m"], "y_um": at["y_ref_m"], "rz_urad": at["rz_ref_rad"]},
-            "z_um": at["z_m"], "rx_urad": at["rx_rad"], "ry_urad": at["ry_rad"],
-        }))  # fmt: skip
-    (path / "log.jsonl").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    known = {c: Known(stem(c), u) for c, u in UNIT.items()}
-    return Written([str(path / "log.jsonl")], known | {"run": Known("run")})
-
-
-def json_columns(file: Path, columns: Columns) -> None:
-    """One JSON object, a list for each column."""
-    file.write_text(json.dumps({n: x.tolist() for n, x in columns.items()}))
 
 
 def database(file: Path, columns: Columns) -> None:
@@ -840,13 +748,6 @@ def board(*, places: bool) -> Write:
 PREAMBLE = [f"Channel {k}, gain, {1.5 + k}, coupling, DC" for k in range(12)]
 PREAMBLE += ["Instrument: DAQ-3, serial 4711", "Samples: 960, Rate: 200 Hz", "", "[Data]", ""]
 SETTINGS = ["Model,MSO44", "Firmware,1.20", "Sample Interval,5e-3", "Record Length,120", "", "Labels,,,", ""]
-NUMBERED_UNITS = {c: u for c, u in UNIT.items() if c not in HALLS}
-
-
-def numbered_by_pandas(file: Path, columns: Columns) -> None:
-    """Three columns of one name, which pandas numbers: Hall, Hall.1, Hall.2."""
-    halls = {"Hall": "Hall [um]", "Hall [um].1": "Hall [um].1", "Hall [um].2": "Hall [um].2"}
-    text()(file, {halls.get(n, n): 1e6 * x if n in halls else x for n, x in columns.items()})
 
 
 def knows(write: Write, **known: Known) -> Write:
@@ -889,20 +790,14 @@ def json_channels(file: Path, columns: Columns) -> None:
 
 
 FILES: dict[str, LabFile] = {
-    "decimal commas": LabFile(saved("Messung.csv", text(";", number=comma, encoding="latin-1", end="\r\n"),
-                                    ROUND, GERMAN)),
-    "units in a second row": LabFile(saved("stage12.tsv", text(
-        "\t", head=in_two_rows, above="# stage 12, probes re-seated on Monday\n# operator: M.\n"), ASIDE)),
     "no units": LabFile(saved("plain.csv", text(), "{name}", units={**UNIT, "t_s": "s"})),
     "line breaks in names": LabFile(saved("quoted.csv", text(", "), '"{name}\n[{unit}]"')),
-    "times of day": LabFile(saved("logger.csv", text(), clock=("Timestamp", stamps))),
     "blocks of gnuplot": LabFile(gnuplot_blocks),
     "oscilloscope": LabFile(one_run(of_columns("scope.csv", SCOPE, text(
         head=lambda names: ",".join(names) + "\nsecond,Volt,Volt,deg", number="{:.10E}".format))), "rotary"),
     "LabVIEW measurement": LabFile(knows(saved(
         "stage.lvm", text("\t", head=of_labview, number=comma, end="\r\n"), ASIDE,
         clock=("X_Value", as_it_is), after={"Comment": lambda n: [""] * n}), t_s=Known("X_Value", "s"))),
-    "paths as names": LabFile(saved("export.csv", text(), "{name}", PATHS)),
     "counts with scale and offset": LabFile(counts, within=2.0),
     "runs side by side": LabFile(wide("{name}_run{run}_{plain}", {c: stem(c) for c in UNIT}, clock="t_ms")),
     "runs side by side, own clocks": LabFile(wide("{name} #{run} [{unit}]", by=";")),
@@ -912,44 +807,26 @@ FILES: dict[str, LabFile] = {
                                        note="README.md")),
     "pattern of runs": LabFile(each_run("2026-02-0{day}_1{hour}h30.csv", "2026-*.csv", text(),
                                         "{name}_{unit}", JOINED)),
-    "names of runs": LabFile(saved("named.csv", lambda file, columns: text()(
-        file, columns | {"Run": [f"R{int(k) + 1:02d}" for k in columns["Run"]]}))),
-    "two files, two rates": LabFile(two_rates(), within=6.0),
     "two files, moments": LabFile(two_rates(moments=True), within=6.0),
-    "workbook": LabFile(saved("stage.xlsx", titled_sheet, ASIDE, words=("--sheet", "Data"))),
     "HDF5, attributes": LabFile(saved("daq.h5", hdf5("channels/{name}", "Unit"), ASIDE)),
     "HDF5, records": LabFile(saved("records.h5", hdf5_records, SNAKE, JOINED)),
-    "HDF5, a group for each run": LabFile(saved(
-        "lab.h5", hdf5("measurement/run{run:02d}/{name}", "unit", runs=True), ASIDE, JOINED)),
-    "TDMS": LabFile(tdms),
-    "MDF": LabFile(knows(saved("logger.mf4", mdf, ASIDE, UNDER), t_s=Known("Time", "ms"))),
     "MATLAB matrices": LabFile(matrices),
-    "MATLAB struct": LabFile(saved("log.mat", matlab("struct"), SNAKE, UNDER)),
     "MATLAB array of structs": LabFile(saved("lab.mat", matlab("array"), SNAKE, UNDER)),
-    "npz": LabFile(numpy_arrays),
-    "feather": LabFile(saved("frame.feather", arrow, ROUND, after={"__index_level_0__": np.arange})),
-    "JSON lines": LabFile(json_lines),
     "parquet": LabFile(saved("lake.parquet", arrow, ASIDE)),
     "averaged counts": LabFile(maker_table, "chip", within=0.2),
     "voltages in counts": LabFile(of_columns("serial.csv", SERIAL, text()), "rotary", within=2.0),
     "wrapped degrees": LabFile(of_columns("angles.csv", WRAPPED, text("\t"), BRACKETS), "chip"),
     "an encoder without units": LabFile(one_run(of_columns("turn.dat", UNITLESS_TURN, text(" "))), "rotary"),
     "millivolts": LabFile(board(places=True), "halbach"),
-    "columns numbered by pandas": LabFile(knows(
-        saved("merged.csv", numbered_by_pandas, BRACKETS, NUMBERED, NUMBERED_UNITS),
-        **{c: Known(NUMBERED[c], "um") for c in HALLS})),
-    "a long preamble": LabFile(saved("daq3.csv", text(above="\n".join(PREAMBLE)))),
     "labels above names": LabFile(one_run(of_columns("tek.csv", TEKTRONIX, text(above="\n".join(SETTINGS)))),
                                   "rotary"),
     "a scope's increment": LabFile(one_run(of_columns("rigol.csv", RIGOL, text(
         head=lambda names: ",".join(names) + ",Start,Increment\nSequence,Volt,Volt,Volt,0.0,5e-3",
         last=",,"))), "rotary"),
     "channels by number": LabFile(one_run(of_columns("analog.csv", CHANNELS, text())), "rotary"),
-    "words between the rows": LabFile(saved("serial.txt", words_between)),
     "names before numbers": LabFile(saved("plot.csv", names_before_numbers, SNAKE, UNDER)),
     "a clock for each channel": LabFile(one_run(saved("scope.csv", own_clocks, ASIDE))),
     "channels in their own rows": LabFile(saved("bus.csv", own_rows), within=0.2),
-    "a stated interval": LabFile(timeless("rate.csv", text(above="Sample Interval,5,ms\n"))),
     "names in a line each": LabFile(timeless("rec0.dat", text(" ", head=name_by_name))),
     "LabVIEW without times": LabFile(one_run(saved(
         "noX.lvm", text("\t", head=of_labview, number=comma), ASIDE,
@@ -959,13 +836,10 @@ FILES: dict[str, LabFile] = {
     "a channel in each row": LabFile(one_run(knows(
         saved("buffer.csv", reading_buffer, ASIDE), t_s=Known("Relative Time", "s")))),
     "JSON, an object a channel": LabFile(timeless("channels.json", json_channels, ("--format", "json"))),
-    "statistics below": LabFile(saved("statistics.csv", with_statistics)),
     "segments of LabVIEW": LabFile(segments),
     "a file for each channel": LabFile(one_run(file_per_channel), "rotary"),
     "merged cells": LabFile(saved("merged.xlsx", merged_cells)),
     "a row per run": LabFile(saved("lake.parquet", row_per_run, SNAKE, UNDER)),
-    "milliseconds behind a colon": LabFile(saved("scan.csv", text(";"), clock=(
-        "Time", lambda t: [stamp[:-3].replace(".", ":") for stamp in stamps(t)]))),
     "names behind a word in a comment": LabFile(saved("ids.txt", text(
         " ", above="# axis 1 = x\n", head=lambda names: "# columns: " + " ".join(names)), SNAKE, UNDER)),
     "Chinese": LabFile(saved("数据.csv", text(encoding="gb18030"), "{name}({plain})", CHINESE)),
@@ -977,33 +851,20 @@ FILES: dict[str, LabFile] = {
                                            clock=("timestamp", stamps))),
     "JSON, an object a run": LabFile(saved("runs.jsonl", json_runs, SNAKE, OURS)),
     "counts and microsteps": LabFile(of_columns("stepper.csv", STEPPER, text()), "chip", within=3.0),
-    "JSON of lists": LabFile(saved("log.json", json_columns, SNAKE, UNDER, words=("--format", "json"))),
-    "folder of HDF5": LabFile(each_run("runs/run_{k}.h5", "runs", hdf5(), ASIDE)),
     "MATLAB 7.3": LabFile(matlab_73),
-    "structured array": LabFile(saved("record.npz", structured_array, SNAKE, UNDER)),
     "a sheet with two tables": LabFile(saved("mixed.xlsx", two_tables)),
-    "a sheet for each run": LabFile(saved("runs.xlsx", sheets_of_runs)),
     "zip": LabFile(saved("runs.zip", archive)),
-    "SQLite": LabFile(saved("log.sqlite", database, "{name}_{unit}", UNDER)),
     "a row per value": LabFile(saved("series.csv", row_per_value, SNAKE,
                                      {c: n.lower() for c, n in UNDER.items()}, clock=("time_s", as_it_is))),
     "one series after the other": LabFile(saved("influx.csv", annotated_series, SNAKE, {
         c: n.lower() for c, n in UNDER.items()}, clock=("_time", stamps))),
-    "exponents with D": LabFile(saved("out.dat", fortran, SNAKE, UNDER)),
-    "units in cells": LabFile(saved("cells.csv", units_in_cells, ASIDE)),
     "names come again": LabFile(one_behind_another),
     "no height, no tilts": LabFile(saved("flat.csv", text(), without=VERTICAL)),
     "a column of words, lost samples": LabFile(saved("status.csv", lost_samples, after={
         "Status": lambda n: ["OK"] * n}), says=("--drop-bad",)),
-    "two columns of one name": LabFile(saved("twice.csv", text(
-        head=lambda names: ",".join(names).replace("Hall B", "Hall A"))), says=("twice", "different names")),
-    "no names": LabFile(saved("numbers.csv", text(head=lambda names: ",".join("0" for _ in names))),
-                        says=("column names", "names")),
     "a board of unknown layout": LabFile(board(places=False), "halbach", says=("layout", "places")),
     "no reference": LabFile(saved("readings.csv", text(), without=LASER), says=("reference", "x_ref")),
     "two files of other hours": LabFile(two_rates(later=4e6), says=("overlap in time",)),
-    "noise of a channel that is not there": LabFile(
-        saved("rig/log.csv", beside_meta), says=("noise of channel_v, which the log",)),
     "a folder with another table": LabFile(
         each_run("scans/scan_{k}.csv", "scans", text(), "{name}_{plain}", JOINED, "summary.csv"),
         says=("must have the same columns to be runs; summary",)),

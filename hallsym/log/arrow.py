@@ -14,7 +14,7 @@ from hallsym.log.columns import RUN, T, is_run_word, is_time_word, stems_of
 from hallsym.log.table import Arrays, Source, load
 from hallsym.units import UNITS, Array, split_unit
 
-DAY_S = 86_400.0
+HOUR_S, DAY_S = 3600.0, 86_400.0
 TICK_NS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1000, "ns": 1}
 
 
@@ -58,6 +58,7 @@ class Timed(Source):
 
 
 _CLOCK = r"(?P<hour>\d{1,2}):(?P<min>\d{2}):(?P<sec>\d{2}(?:[.,]\d{1,9}|:\d{3})?)"
+_MINUTES = r"(?P<min>\d{1,2}):(?P<sec>\d{2}[.,]\d{1,9})"
 _ZONE = r"\s*(?P<zone>Z|[+-]\d{2}:?\d{2})"
 _DATES = (
     r"(?P<y>\d{4})[-/.](?P<m>\d{1,2})[-/.](?P<d>\d{1,2})[T ]\s*",
@@ -71,12 +72,9 @@ def time_form(cells: Sequence[str]) -> str | None:
 
     The day may be `a` or `b`. None where they are no times.
     """
-    for date in (*_DATES, ""):
-        for zone in ("", _ZONE) if date else ("",):
-            whole = re.compile(rf"^\s*{date}{_CLOCK}{zone}\s*$")
-            if cells and all(whole.fullmatch(cell) for cell in cells):
-                return whole.pattern
-    return None
+    clocks = [f"{date}{_CLOCK}{zone}" for date in _DATES for zone in ("", _ZONE)]
+    forms = (re.compile(rf"^\s*{clock}\s*$") for clock in (*clocks, _CLOCK, _MINUTES))
+    return next((form.pattern for form in forms if cells and all(map(form.fullmatch, cells))), None)
 
 
 def _called(form: str) -> str:
@@ -117,9 +115,10 @@ class Seconds:
         return self._onward(seconds) if daily else seconds
 
     def _onward(self, seconds: Array) -> Array:
-        """Return times of day that never go back by most of a day."""
+        """Return times of day (of an hour, without hours) that never go back by most of it."""
+        whole = HOUR_S if self.form and "<hour>" not in self.form else DAY_S
         steps = np.diff(seconds, prepend=self._last)
-        days = self._days + DAY_S * np.cumsum(np.nan_to_num(steps) < -DAY_S / 2)
+        days = self._days + whole * np.cumsum(np.nan_to_num(steps) < -whole / 2)
         good = np.flatnonzero(np.isfinite(seconds))
         if len(good):
             self._last, self._days = float(seconds[good[-1]]), float(days[-1])
@@ -136,9 +135,10 @@ class Seconds:
             part["d"], part["m"] = (
                 part[k] for k in ("ab" if self._day_stands_first(part, compute) else "ba")
             )
-        two = {name: compute.utf8_lpad(part[name], 2, "0") for name in ("m", "d", "hour") if name in part}
+        two = {k: compute.utf8_lpad(v, 2, "0") for k, v in part.items() if k in ("m", "d", "hour", "min")}
         day = join(part["y"], two["m"], two["d"], "-") if "y" in part else "1970-01-01"
-        clock = join(two["hour"], part["min"], compute.replace_substring_regex(part["sec"], "[,:]", "."), ":")
+        seconds = compute.replace_substring_regex(part["sec"], "[,:]", ".")
+        clock = join(two.get("hour", "00"), two["min"], seconds, ":")
         try:
             if odd:
                 raise arrow.ArrowInvalid(odd[0])

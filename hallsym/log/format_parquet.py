@@ -93,11 +93,13 @@ def open_json(path: Path) -> Memory:
     lists of samples are runs: in a list, or with the same keys under names of their own.
     """
     arrow, facts = load("pyarrow"), dict[str, Any]()
+    with arrow.input_stream(str(path)) as stream:  # which may be compressed
+        text = stream.read()
     try:
-        whole, facts = _rows(json.loads(path.read_bytes()))
+        whole, facts = _rows(json.loads(text))
         table = arrow.Table.from_pylist(whole if isinstance(whole, list) else [whole])
     except json.JSONDecodeError:  # several objects
-        table = load("pyarrow.json").read_json(path)
+        table = load("pyarrow.json").read_json(arrow.BufferReader(text))
     source = source_of(table, quoted(path))
     source.pace = pace_in(facts)
     return source

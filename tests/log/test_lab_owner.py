@@ -9,7 +9,7 @@ from lab_files import FILES, obeyed
 
 QUICK = {
     "no units", "counts with scale and offset", "runs side by side", "two files, moments", "HDF5, attributes",
-    "a stated interval", "a channel in each row", "averaged counts", "a column of words, lost samples",
+    "a channel in each row", "averaged counts", "a column of words, lost samples",
     "a clock for each channel",
 }  # fmt: skip
 """One of each kind of question; `slow` are those that ask the same of another file."""

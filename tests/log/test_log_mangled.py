@@ -256,8 +256,8 @@ def test_letters_of_western_europe_are_not_chinese(tmp_path: Path) -> None:
     ],
 )
 def test_json_of_lists_and_lists_of_json(tmp_path: Path, text: str) -> None:
-    (tmp_path / "log.jsonl").write_text(text)
-    log = read_log(tmp_path / "log.jsonl")
+    (tmp_path / "log.jsonl.gz").write_bytes(gzip.compress(text.encode()))
+    log = read_log(tmp_path / "log.jsonl.gz")
     assert log.array("t_s").tolist() == [0.0, 1e-3]
     assert log.array("x_ref_m") == pytest.approx([1.5e-6, 2e-6])
 
