@@ -11,7 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 from msgspec import structs
 
 from hallsym.errors import InputError, nearest, quoted, require
@@ -140,7 +139,7 @@ class Guarded(Source):
         """Yield consecutive chunks of at most about `size` rows."""
         pieces = self.inner.chunks(names, size)
         while (piece := self._asked(next, pieces, None)) is not None:
-            yield self._judged(names, piece)
+            yield piece
 
     def _asked(self, question: Callable[..., Any], *words: Any) -> Any:
         """Return what a library answers; whatever it raises becomes one sentence."""
@@ -154,21 +153,6 @@ class Guarded(Source):
                 "damaged or has to be decimated."
             )
         return rows
-
-    def _judged(self, names: Sequence[str], columns: Mapping[str, Array]) -> Mapping[str, Array]:
-        """Return columns of numbers of one length; refuse others, which would be cut or taken for numbers."""
-        where = quoted(self.path)
-        for name in names:
-            values, first = np.asarray(columns[name]), np.shape(columns[names[0]])
-            if values.dtype.kind not in "fiu":
-                what = "booleans" if values.dtype.kind == "b" else "other values"
-                raise InputError(f"Column '{name}' of {where} must hold numbers; it holds {what}.")
-            if values.ndim != 1 or values.shape != first:
-                raise InputError(
-                    f"Columns of {where} must be equally long; '{name}' has {values.shape} values, "
-                    f"'{names[0]}' {first}."
-                )
-        return columns
 
 
 def as_log(

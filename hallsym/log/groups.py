@@ -11,22 +11,23 @@ from functools import cached_property
 import numpy as np
 
 from hallsym.errors import InputError, counted, nearest
-from hallsym.log.columns import RUN, T, is_time_word
+from hallsym.log.columns import RUN, T, is_moving, is_time_word
 from hallsym.log.pace import Paced
 from hallsym.log.table import IN_MEMORY_ROWS, TIME, Source, exact
 from hallsym.units import UNITS, Array, Unit, split_unit
 
 RUN_SPACING_S = 1e6
 """Seconds between runs where a clock starts again in each: longer than any run lasts."""
-SLOW = {"degc", "a", "hz"}
-"""SI units of what changes slowly beside the motion: rows at the samples of it alone would miss it."""
+MOTION = {"m", "rad", "v", "t", "count"}
+"""SI units of readings and references; rows at the samples of a temperature alone would miss the motion."""
 
 
 class Group:
     """Channels that were sampled together: columns of a source, of which that of time is the `clock`.
 
-    `timed`: whether time is one of its columns. Known after `begin`: `time` (rows,) [s], (0,) without a time
-    base; `since`: what it counts from, which two clocks must have in common.
+    `timed`: whether time is one of its columns; `moves`: whether a channel follows the motion, 2 by its name,
+    1 by its unit alone. Known after `begin`: `time` (rows,) [s], (0,) without a time base; `since`: what it
+    counts from, which two clocks must have in common.
     """
 
     def __init__(self, name: str, source: Source, mapped: Mapping[str, str] | None = None) -> None:
@@ -35,8 +36,11 @@ class Group:
         self.channels = tuple(c for c in source.names if c != TIME)
         ours = {c: mapped[c] for c in self.channels if mapped and c in mapped}
         self.units = {**source.units, **{c: u.name for c, n in ours.items() if (u := split_unit(n)[1])}}
+        stems = {c: split_unit(ours.get(c, c))[0] for c in self.channels}
+        moving = any(is_moving(f"{stem}_{self.unit(c).si}") for c, stem in stems.items())
+        self.moves = moving + any(self.unit(c).si in MOTION for c in self.channels)
         given = [c for c in source.names if c == TIME]
-        named = given or [c for c in self.channels if split_unit(ours.get(c, c))[0] == T]
+        named = given or [c for c, stem in stems.items() if stem == T]
         timed = named or [c for c in self.channels if self.unit(c).si == "s"]
         timed = timed or [c for c in self.channels if is_time_word(c) and c not in self.units]
         self.clock = timed[0] if len(timed) == 1 else ""
@@ -80,11 +84,6 @@ class Group:
         """Samples a second on average; 0 where it is not known."""
         first, last = self.ends
         return (self.rows - 1) / (last - first) if last > first else 0.0
-
-    @property
-    def moves(self) -> bool:
-        """Whether a channel may follow the motion."""
-        return not {self.unit(c).si for c in self.channels if c != self.clock} <= SLOW
 
     def said(self) -> str:
         """Return the group in words: `Hall (4 channels at 10 kHz)`."""
@@ -248,9 +247,8 @@ class GroupedSource(Source):
                 f" the rows; it has {', '.join(list(named)[:SHOWN_GROUPS])}: name one of them with --clock."
             )
         timed = [members for members in sets if len(members[0].time)]
-        moving = [members for members in timed if any(g.moves for g in members)] or timed
-        if moving:
-            usual = min(moving, key=lambda members: members[0].rate)[0]
+        if timed:  # of those that surely follow the motion, the slowest
+            usual = min(timed, key=lambda members: (-max(g.moves for g in members), members[0].rate))[0]
         else:
             usual = max(sets, key=lambda members: sum(len(g.channels) for g in members))[0]
         master = named[stated] if stated else usual

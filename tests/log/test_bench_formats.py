@@ -103,13 +103,16 @@ def test_other_clocks_are_read_as_numpy_reads_them(
     assert f"at the samples of {topic(suffix, clock)} (--clock)" in " ".join(log.notes)
 
 
-def test_a_slow_temperature_is_no_clock_of_the_rows() -> None:
+@pytest.mark.parametrize(
+    "names", [("hall_a_m", "status"), ("Probe_v", "Warm_degc"), ("hall_a_m", "Supply_v")]
+)
+def test_what_is_slow_beside_the_motion_is_no_clock_of_the_rows(names: tuple[str, str]) -> None:
     fast, slow = np.arange(500) * 0.01, np.arange(6) * 1.0
-    parts = {"hall": {"t_s": fast, "hall_a_m": fast}, "warm": {"t_s": slow, "temperature_degc": 20 + slow}}
+    parts = {"hall": {"t_s": fast, names[0]: fast}, "warm": {"t_s": slow, names[1]: 20 + slow}}
     joined = [groups.Group(name, Arrays(columns)) for name, columns in parts.items()]
     source = GroupedSource("log", "arrays", joined, {}, None, files=True)
     assert source.count() == 500
-    assert np.allclose(source.read(["temperature_degc"])["temperature_degc"], 20 + fast)
+    assert np.allclose(source.read([names[1]])[names[1]], 20 + fast)
 
 
 def test_a_long_gap_is_not_bridged(tmp_path: Path) -> None:
