@@ -108,13 +108,9 @@ def places(groups: Sequence[Group], by: str = "/") -> tuple[dict[str, tuple[Grou
     ends = Counter(channel for g in groups for channel in g.channels)
     places: dict[str, tuple[Group, str]] = {}
     aliases: dict[str, str] = {}
-    clocked: set[tuple[tuple[float, float], int]] = set()
     for g in groups:
-        clock = (g.ends, g.rows)
-        if g.timed and g.clock == TIME and clock not in clocked:
-            name = f"{g.name}{by}{T}" if T in ends or clocked else T
-            places[name] = g, TIME
-            clocked.add(clock)
+        if g.timed and g.clock == TIME:
+            places[f"{g.name}{by}{T}" if T in ends else T] = g, TIME
         for channel in g.channels:
             long = f"{g.name}{by}{channel}" if g.name else channel
             name = channel if ends[channel] == 1 else long
