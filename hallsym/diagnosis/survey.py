@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import next_fast_len
+from scipy.fft import fft, next_fast_len
 from scipy.linalg import solve_toeplitz
 from scipy.ndimage import median_filter
 
@@ -245,7 +245,10 @@ def _power(
     step = 1 / (32 * reach)
     size = next_fast_len(1 + int(4 * span / step))
     wave, at = np.exp(-2j * np.pi * centre * t), ((t - t[0]) / step).astype(int)
-    slow = [np.bincount(at, v.real, size) + 1j * np.bincount(at, v.imag, size) for v in x * wave]
-    f = np.fft.fftfreq(size, step)
-    near = np.abs(f) <= reach
-    return centre + f[near], (np.abs(np.fft.fft(slow)[:, near]) ** 2).sum(axis=0)
+    near = np.arange(-(size // 32), size // 32 + 1)
+    power, slow = np.zeros(len(near)), np.empty(size, dtype=complex)
+    for values in x:  # one channel at a time: a long recording has a million of those sums
+        slow.real = np.bincount(at, values * wave.real, size)
+        slow.imag = np.bincount(at, values * wave.imag, size)
+        power += np.abs(fft(slow, overwrite_x=True)[near]) ** 2
+    return centre + near / (size * step), power
