@@ -183,8 +183,11 @@ def by_signal(source: Source, where: str) -> Source:
     """
     if not (2 if source.pace else 3) <= len(source.names) <= MOST_NAMES:
         return source
+    words = {name: re.findall(r"[^\W_\d]+", split_header(name)[0].lower()) for name in source.names}
+    numeric = all(any(map(is_number, cells)) for cells in _head(source).values())
+    if numeric and not any(LABELS.fullmatch(word) for own in words.values() for word in own):
+        return source  # without more rows: no column can be one of names
     head = _head(source, LOOKED_AT)
-    words = {name: re.findall(r"[^\W_\d]+", split_header(name)[0].lower()) for name in head}
     kinds = {name: len(set(cells)) for name, cells in head.items()}
     stamps = sorted((n for n in head if kinds[n] > 1 and _is_clock(source, n)), key=lambda n: -kinds[n])
     texts = [n for n, cells in head.items() if n not in stamps and not any(map(is_number, cells))]
