@@ -21,7 +21,10 @@ from numpy.typing import ArrayLike
 from solvers.newton import NEGLIGIBLE, curves_down, inside, local_result, newton, what_is_left
 from solvers.problem import INTERRUPTED, FloatArray, Problem, Result, Status
 
-QUIET = {"print_time": False, "show_eval_warnings": False, "error_on_fail": False}
+QUIET = {
+    "print_time": False, "show_eval_warnings": False, "error_on_fail": False, "calc_lam_p": False,
+    "no_nlp_grad": True,  # the callbacks have no derivatives of their own
+}  # fmt: skip
 STRICT = {"print_level": 0, "sb": "yes", "bound_relax_factor": 0.0}  # never a step outside the bounds
 ROUNDS = 4
 ROOM = 320 << 20
@@ -46,12 +49,7 @@ class Recent:
         """Wrap the derivatives of a problem."""
         self.derivatives, self.unit = problem.second_order, unit
         self.lower, self.upper = problem.lower, problem.upper  # for the last bit: IPOPT stays inside
-        self.upper_triangle = np.tril_indices(len(unit))  # of H': columns of H
         self.unit2 = unit[:, None] * unit
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget everything: a new run begins."""
         self.key, self.calls = b"", 0
         self.error: BaseException | None = None
         self.best, self.best_f = self.unit, np.inf
@@ -113,89 +111,61 @@ class _Part(casadi.Callback):
         return 0
 
 
-class Callbacks:
-    """What `nlpsol` needs: keep this alive as long as the solver, CasADi holds no reference to its parts."""
-
-    def __init__(self, recent: Recent) -> None:
-        """Build the problem, `u` scaled and `p` the factor of the cost, and the options that go with it."""
-        dim = len(recent.unit)
-        one, slope = casadi.Sparsity.dense(1, 1), casadi.Sparsity.dense(dim, 1)
-
-        def hessian(given: Buffers) -> tuple[Any, ...]:
-            multiplier = 0.0 if given[2] is None else np.frombuffer(given[2])[0]
-            return (multiplier * recent.hessian.T[recent.upper_triangle],)
-
-        u, scale = casadi.MX.sym("u", dim), casadi.MX.sym("scale")
-        self.cost = _Part("cost", recent, [one], lambda _: (recent.f,))
-        self.nlp = {"x": u, "p": scale, "f": self.cost(u, scale)}
-        self.options: dict[str, Any] = {
-            "grad_f": _Part("gradient", recent, [one, slope], lambda _: (recent.f, recent.gradient)),
-            "hess_lag": _Part("hessian", recent, [casadi.Sparsity.upper(dim)], hessian, inputs=4),
-            "calc_lam_p": False,
-            "no_nlp_grad": True,  # the callbacks have no derivatives of their own
-        }
-
-
 def ipopt(
     problem: Problem, x0: ArrayLike, *, max_iterations: int = 200, tolerance: float = 1e-8, **options: Any
 ) -> Result:
     """Refine one point; never returns a worse one than `x0` clipped into the box.
 
-    Needs `problem.derivatives`. For many starts of one problem build `Ipopt` once.
+    Needs `problem.derivatives`.
     IPOPT calls a flat stretch far from any optimum solved. So its point is judged by a Newton step: where the
     Hessian is not positive definite, or the step promises more than rounding, Newton's method goes on from
     there; the message says so, and the status is what that ends with.
     tolerance, max_iterations: of each round of IPOPT, relative as said above; there are at most four, and
         one is the rule. options: further options of IPOPT itself.
     """
-    return Ipopt(problem, max_iterations=max_iterations, tolerance=tolerance, **options).solve(x0)
-
-
-class Ipopt:
-    """IPOPT set up once for a problem; `solve` as often as there are starts."""
-
-    def __init__(
-        self, problem: Problem, *, max_iterations: int = 200, tolerance: float = 1e-8, **options: Any
-    ) -> None:
-        """Build the solver: the options are those of `ipopt`."""
-        self.problem = problem
-        width = np.where(np.isfinite(problem.width) & (problem.width > 0.0), problem.width, 1.0)
-        self.unit = 2.0 ** np.rint(np.log2(width))  # powers of two: dividing by them is exact
-        self.max_iterations = max_iterations
-        inner = {"max_iter": max_iterations, "tol": tolerance} | STRICT | options
-        self.recent = Recent(problem, self.unit)
-        self.callbacks = Callbacks(self.recent)
-        options = QUIET | self.callbacks.options | {"ipopt": inner}
-        try:
-            mmap.mmap(-1, ROOM).close()
-        except OSError as error:
-            raise MemoryError from error
-        self.solver = casadi.nlpsol("refine", "ipopt", self.callbacks.nlp, options)
-
-    def solve(self, x0: ArrayLike) -> Result:
-        """Refine one point."""
-        began = perf_counter()
-        x, note = inside(self.problem, x0, "ipopt")
-        attempt = _Attempt(self, x)
-        status: Status
-        try:
-            status, message = attempt.run()
-        except KeyboardInterrupt:
-            status, message = "interrupted", INTERRUPTED
-        return local_result(
-            attempt.x, attempt.f, status, message + note, attempt.history, perf_counter() - began
-        )
+    began = perf_counter()
+    x, note = inside(problem, x0, "ipopt")
+    attempt = _Attempt(problem, x, max_iterations, {"tol": tolerance} | STRICT | options)
+    status: Status
+    try:
+        status, message = attempt.run()
+    except KeyboardInterrupt:
+        status, message = "interrupted", INTERRUPTED
+    return local_result(attempt.x, attempt.f, status, message + note, attempt.history, perf_counter() - began)
 
 
 class _Attempt:
     """One run of IPOPT from one start."""
 
-    def __init__(self, ipopt: Ipopt, x: FloatArray) -> None:
-        self.ipopt, self.x, self.f = ipopt, x, np.inf
-        self.lower, self.upper, self.unit = ipopt.problem.lower, ipopt.problem.upper, ipopt.unit
+    def __init__(self, problem: Problem, x: FloatArray, max_iterations: int, options: dict[str, Any]) -> None:
+        self.problem, self.max_iterations, self.x, self.f = problem, max_iterations, x, np.inf
+        width = np.where(np.isfinite(problem.width) & (problem.width > 0.0), problem.width, 1.0)
+        self.unit = 2.0 ** np.rint(np.log2(width))  # powers of two: dividing by them is exact
+        self.lower, self.upper = problem.lower, problem.upper
         self.history: list[tuple[int, float]] = []
         self.calls = 1
-        ipopt.recent.reset()
+        self.recent = recent = Recent(problem, self.unit)
+        dim, one = problem.dim, casadi.Sparsity.dense(1, 1)
+        slope, triangle = casadi.Sparsity.dense(dim, 1), np.tril_indices(dim)  # of H': columns of H
+
+        def hessian(given: Buffers) -> tuple[Any, ...]:
+            multiplier = 0.0 if given[2] is None else np.frombuffer(given[2])[0]
+            return (multiplier * recent.hessian.T[triangle],)
+
+        u, scale = casadi.MX.sym("u", dim), casadi.MX.sym("scale")
+        # CasADi holds no reference to its parts: they must live as long as the solver
+        self.cost = _Part("cost", recent, [one], lambda _: (recent.f,))
+        self.parts = {
+            "grad_f": _Part("gradient", recent, [one, slope], lambda _: (recent.f, recent.gradient)),
+            "hess_lag": _Part("hessian", recent, [casadi.Sparsity.upper(dim)], hessian, inputs=4),
+        }
+        nlp = {"x": u, "p": scale, "f": self.cost(u, scale)}
+        try:
+            mmap.mmap(-1, ROOM).close()
+        except OSError as error:
+            raise MemoryError from error
+        inner = {"ipopt": {"max_iter": max_iterations} | options}
+        self.solver = casadi.nlpsol("refine", "ipopt", nlp, QUIET | self.parts | inner)
 
     def run(self) -> tuple[Status, str]:
         """From the start to the verdict; the best point is kept on the way.
@@ -229,7 +199,7 @@ class _Attempt:
 
     def go_on(self, found: str) -> tuple[Status, str]:
         """Newton's method from a point that satisfies IPOPT and is no optimum."""
-        further = newton(self.ipopt.problem, self.x, max_iterations=self.ipopt.max_iterations)
+        further = newton(self.problem, self.x, max_iterations=self.max_iterations)
         self.calls += further.evaluations
         if further.cost < self.f:
             self.x, self.f = further.x, further.cost
@@ -239,11 +209,11 @@ class _Attempt:
     def round(self, scale: float) -> str:
         """One call of IPOPT from the best point; what it says is data, not the verdict."""
         bounds = {"lbx": self.lower / self.unit, "ubx": self.upper / self.unit}
-        answer = self.ipopt.solver(x0=self.x / self.unit, p=1.0 / scale if scale > 0.0 else 1.0, **bounds)
-        stats = self.ipopt.solver.stats()
+        answer = self.solver(x0=self.x / self.unit, p=1.0 / scale if scale > 0.0 else 1.0, **bounds)
+        stats = self.solver.stats()
         self.after_python_error()
         found = np.clip(np.array(answer["x"]).ravel() * self.unit, self.lower, self.upper)
-        self.calls = self.ipopt.recent.calls
+        self.calls = self.recent.calls
         self.take(found, self.calls)
         if stats["return_status"] in CTRL_C:
             raise KeyboardInterrupt
@@ -259,13 +229,13 @@ class _Attempt:
 
     def at(self, x: FloatArray) -> Recent:
         """Return value and derivatives at `x`."""
-        self.ipopt.recent.at((x / self.unit).data)
+        self.recent.at((x / self.unit).data)
         self.after_python_error()
-        return self.ipopt.recent
+        return self.recent
 
     def after_python_error(self) -> None:
         """Raise what Python derivatives raised within IPOPT, after keeping the best point so far."""
-        recent = self.ipopt.recent
+        recent = self.recent
         if recent.error is not None:
             if recent.best_f < self.f:
                 self.x, self.f = recent.best, recent.best_f
@@ -275,7 +245,7 @@ class _Attempt:
     def left(self) -> tuple[FloatArray, float, str]:
         """The slope, how much lower the cost could still be, and why this is no optimum ("" if it is one)."""
         u, low, high = self.x / self.unit, self.lower / self.unit, self.upper / self.unit
-        slope, hessian = self.at(self.x).gradient, self.ipopt.recent.hessian
+        slope, hessian = self.at(self.x).gradient, self.recent.hessian
         left, rounding = what_is_left(slope, hessian, u, low, high)
         if curves_down(hessian, u, low, high):
             return slope, left, CURVED

@@ -8,7 +8,6 @@ from nist import MODELS, sets
 from solver_problems import LOCAL, ROSENBROCK, SPHERE
 
 from solvers import Problem, ipopt, newton
-from solvers.ipopt import Ipopt
 from solvers.newton import bounded_step
 
 METHODS = (ipopt, newton)
@@ -255,13 +254,6 @@ def test_bounded_step_stays_inside_and_keeps_its_promise(seed, dim, size):
     assert (gradient + hessian @ step)[off_the_bounds] == pytest.approx(0.0, abs=1e-7)
     if size == 100.0:
         assert gain == pytest.approx(possible, rel=1e-6)
-
-
-def test_ipopt_is_built_once_for_many_starts():
-    refine = Ipopt(ROSENBROCK.problem())
-    results = [refine.solve(start) for start in ([-1.2, 1.0], [2.0, 2.0], [-1.2, 1.0])]
-    assert all(result.x == pytest.approx([1.0, 1.0], abs=1e-3) for result in results)
-    assert np.array_equal(results[0].x, results[2].x)  # nothing is left over from the run before
 
 
 def test_ipopt_options_reach_ipopt():
