@@ -87,8 +87,7 @@ class Base:
 
     def to_pose(self, pose: Sequence[np.ndarray], state: Sequence[np.ndarray]) -> np.ndarray:
         """Return d pose / d reading at some samples, (n_pose, K, samples)."""
-        (gain,) = decoding_gain(self.model)(self.p, pose, state, self.weight)
-        return np.asarray(gain).reshape(len(self.model.channels), len(self.model.pose), -1).swapaxes(0, 1)
+        return decoding_gain(self.model, self.p, pose, state, self.weight)
 
 
 Found = TypeVar("Found")

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-import casadi as ca
 import numpy as np
 
 from hallsym.errors import InputError
@@ -12,7 +11,8 @@ from hallsym.log.batches import Batch, Weigh, batches
 from hallsym.log.derived import extended
 from hallsym.log.phase import wrapped
 from hallsym.model import Model
-from hallsym.model.arrays import jacobian, on_arrays
+from hallsym.model.arrays import on_arrays
+from hallsym.model.influence import gain_at
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,58 +90,22 @@ def decoder(model: Model, reading_variance: np.ndarray) -> Callable[..., np.ndar
     return decode
 
 
-def decoding_gain(model: Model) -> Callable[..., list[np.ndarray]]:
-    """Return `(p, pose, state, weight) -> d pose / d reading` on arrays, (K * n_pose, samples).
+def decoding_gain(
+    model: Model, p: np.ndarray, pose: Sequence[np.ndarray], state: Sequence[np.ndarray], weight: np.ndarray
+) -> np.ndarray:
+    """Return d pose / d reading at some samples, (n_pose, K, samples); `weight`: 1/variance of each channel.
 
     A chip that gives the pose itself has 1: where its channels clip it loses the pose, not its unit. Readings
     that are nearly linear in the pose have that of the zero pose: at a rail their own slope is nil.
     """
+    shape = len(model.pose), len(model.channels), np.size(pose[0])
     if len(model.channels) == 1:
-        return lambda p, pose, state, weight: [np.ones((1, np.size(pose[0])))]
+        return np.ones(shape)
     if model.typical:
-        return gain_at(model)
+        return gain_at(model, p, pose, state, weight).transpose(1, 2, 0)
     still = model.remember("gain at rest, on arrays", lambda: on_arrays(model.noise_gain))
-    if model.state:
-        return lambda p, pose, state, weight: still(p, state, weight)
-    size = len(model.channels) * len(model.pose)
-
-    def same(p: np.ndarray, pose: list, state: list, weight: np.ndarray) -> list[np.ndarray]:
-        return [np.broadcast_to(still(p, state, weight)[0].reshape(size, 1), (size, np.size(pose[0])))]
-
-    return same
-
-
-def gain_at(model: Model) -> Callable[..., list[np.ndarray]]:
-    """Return the same of any pose, (K * n_pose, samples), whatever the model says of typical ones.
-
-    Solved in numbers: written out, the solution of six equations is most of the graph.
-    """
-    slope = slopes_by_column(model)
-
-    def gain(p: np.ndarray, pose: list, state: list, weight: np.ndarray) -> list[np.ndarray]:
-        each = slope(p, pose, state)[0].reshape(-1, len(model.channels), np.size(pose[0]))
-        J = each[: len(model.pose)].transpose(2, 0, 1)  # (samples, pose, K)
-        weighted = J * weight
-        normal = weighted @ J.swapaxes(1, 2)
-        try:
-            found = np.linalg.solve(normal, weighted)
-        except np.linalg.LinAlgError:  # where no reading sees a coordinate
-            found = np.linalg.pinv(normal) @ weighted
-        return [found.transpose(2, 1, 0).reshape(len(model.channels) * len(model.pose), -1)]
-
-    return gain
-
-
-def slopes_by_column(model: Model) -> Callable[..., list[np.ndarray]]:
-    """Return `(p, pose, state) -> d reading / d column` on arrays, (columns * K, samples), offsets 0."""
-
-    def made() -> Callable[..., list[np.ndarray]]:
-        s = model.symbols
-        reading = ca.substitute(s.full(s.reading), s.offsets, ca.SX.zeros(s.offsets.numel()))
-        slope = jacobian(reading, ca.vertcat(s.pose, s.state))
-        return on_arrays(ca.Function("slope", [s.parameters, s.pose, s.state], [ca.densify(slope)]))
-
-    return model.remember("slopes by column", made)
+    flat = still(p, state, weight)[0].reshape(shape[1], shape[0], -1)
+    return np.broadcast_to(flat.swapaxes(0, 1), shape)
 
 
 def knows_rails(model: Model) -> bool:
@@ -171,13 +135,12 @@ def pose_errors(model: Model, reading_variance: np.ndarray) -> PoseErrors:
             return np.subtract(found, reference, out=found)
 
         return decoded
-    read, spread = on_arrays(model.reading), decoding_gain(model)
+    read = on_arrays(model.reading)
 
     def mapped(p: np.ndarray, offsets: np.ndarray, data: Mapping[str, np.ndarray]) -> np.ndarray:
         pose, states = ([data[c] for c in names] for names in (model.references, model.state))
         residual = np.array([data[c] for c in model.channels]) - read(p, offsets, pose, states)[0]
-        (gain,) = spread(p, pose, states, weight)
-        return np.einsum("kis,ks->is", gain.reshape(len(residual), len(model.pose), -1), residual)
+        return np.einsum("iks,ks->is", decoding_gain(model, p, pose, states, weight), residual)
 
     return mapped
 

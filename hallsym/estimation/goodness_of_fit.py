@@ -30,7 +30,7 @@ from scipy.linalg import solve_toeplitz
 from scipy.linalg.lapack import dtbtrs
 from scipy.special import chdtrc, chdtri, ndtri, stdtrit
 
-from hallsym.estimation.decoding import columns_of, gain_at, residual_of, slopes_by_column
+from hallsym.estimation.decoding import columns_of, residual_of
 from hallsym.estimation.likelihood import Cost, Point, offsets_of
 from hallsym.families.mechanisms import stop_operators
 from hallsym.log import Log, Noise
@@ -38,6 +38,7 @@ from hallsym.log.batches import Weigh, batches
 from hallsym.log.core import edges_of
 from hallsym.log.derived import extended
 from hallsym.model import Model
+from hallsym.model.influence import column_slopes, gain_at
 
 KNOWN = 0.03
 """Relative uncertainty of a noise floor: n samples know a standard deviation to 1 / sqrt(2 n), 560 to 3 %."""
@@ -272,10 +273,8 @@ def _floors(point: Point, *factors: Mapping[str, float]) -> list[np.ndarray]:
     D, share, poses, state = _gains(point)
     model, m, floors, J = point.cost.summary.model, len(D), [], None
     if model.typical:  # the covariance of a residual is not the same all over a run
-        (flat,) = slopes_by_column(model)(point.p, poses, state)
-        J = np.transpose(
-            flat.reshape(len(point.cost.column_variance), len(model.channels), m, -1), (2, 3, 1, 0)
-        )
+        slopes = column_slopes(model, point.p, poses, state)
+        J = slopes.reshape(m, -1, *slopes.shape[1:])
     for each in factors:
         columns = (model.channels, (*model.references, *model.state))
         own, other = (np.array([each.get(c, 1.0) for c in names]) ** 2 for names in columns)
@@ -313,11 +312,10 @@ def _gains(point: Point) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray
     """Return d pose / d reading (m, r, n_pose, K) at m poses of r runs, the runs' shares, poses and state."""
     cost, summary, model = point.cost, point.cost.summary, point.cost.summary.model
     share = cost.weights * summary.counts / (cost.weights @ summary.counts)
-    K, poses, m = len(model.channels), _poses(cost), max(len(model.typical), 1)
+    poses, m = _poses(cost), max(len(model.typical), 1)
     state = np.tile(summary.mean_state.T, m)
-    (flat,) = gain_at(model)(point.p, poses, state, 1.0 / cost.reading_variance)
-    D = np.transpose(flat.reshape(K, len(model.pose), m, -1), (2, 3, 1, 0))
-    return D, share, poses, state
+    D = gain_at(model, point.p, poses, state, 1.0 / cost.reading_variance)
+    return D.reshape(m, -1, *D.shape[1:]), share, poses, state
 
 
 def _poses(cost: Cost) -> np.ndarray:

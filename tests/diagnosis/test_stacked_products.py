@@ -40,14 +40,13 @@ def test_products_are_those_of_columns_written_out():
     found = normal_equations(base, tried)
     work = Columns(base, tried)
     assert not model.offsets
-    gain, spread = decoding_gain(model), np.linalg.inv(work.whiten)
+    spread = np.linalg.inv(work.whiten)
     squares = np.zeros((2, work.size, work.size))
     for batch, weights in work.weighed():
         white = whitened(work, batch, weights)
         poses, state = batch.columns(model.references), batch.columns(model.state)
-        (D,) = gain(base.p, poses, state, base.weight)
-        D = D.reshape(len(model.channels), len(model.pose), -1) * base.pose_weights[:, None]
-        pose = np.einsum("kis,kj,cjs->cis", D, spread, white, optimize=True)
+        D = decoding_gain(model, base.p, poses, state, base.weight) * base.pose_weights[:, None, None]
+        pose = np.einsum("iks,kj,cjs->cis", D, spread, white, optimize=True)
         squares += [np.tensordot(A, A, axes=([1, 2], [1, 2])) for A in (white, pose)]
     for key, span in found.span.items():
         own = [*range(work.n), *(range(span.start, span.stop) if key else ()), work.size - 1]

@@ -311,6 +311,7 @@ def test_the_gain_of_many_readings_in_numbers_is_that_of_the_expression():
     model = planar.halbach_planar()
     p, weight = model.vector({"a1": 0.62, "a5": -0.002, "rx0": 3e-4}), np.linspace(0.5, 2, 24)
     pose = [*np.array(model.typical).T]
-    (found,) = decoding_gain(model)(p, pose, [], weight)
-    (expected,) = on_arrays(model.noise_gain_at)(p, pose, [], weight)
+    found = decoding_gain(model, p, pose, [], weight)
+    expected = on_arrays(model.noise_gain_at)(p, pose, [], weight)[0]
+    expected = expected.reshape(24, 6, -1).swapaxes(0, 1)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
