@@ -98,6 +98,13 @@ def reflect(x: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
     return inside
 
 
+@dataclass(frozen=True, eq=False)
+class SearchResult(Result):
+    """A `Result` with the points and costs of the last generation."""
+
+    population: Population
+
+
 def minimize(
     problem: Problem,
     solver: str | Solver = "shtlbo",
@@ -106,7 +113,7 @@ def minimize(
     budget: int = 20_100,
     size: int | None = None,
     start: ArrayLike | None = None,
-) -> Result:
+) -> SearchResult:
     """Search the whole box with a population; the same seed gives the same result, to the bit.
 
     solver: a name from `SOLVERS`, or a generator function of the same form (see `Solver`).
@@ -138,16 +145,15 @@ def minimize(
         status, message = run.search(solver, rng)
     except KeyboardInterrupt:
         status, message = "interrupted", INTERRUPTED
-        run.record()
     if status != "interrupted" and np.isinf(run.cost):
         status, message = "failed", "No finite cost was found: check the cost at a point you know is good."
-    return Result(
+    return SearchResult(
         x=run.x,
         cost=run.cost,
         status=status,
         message=message,
         evaluations=run.evaluations,
-        history=np.array(run.history, dtype=float),
+        first=run.first,
         population=run.population,
         seconds=perf_counter() - began,
     )
@@ -159,19 +165,17 @@ class _Run:
     def __init__(self, problem: Problem, budget: int, first: FloatArray) -> None:
         self.problem, self.budget = problem, budget
         self.x, self.cost, self.evaluations = (problem.lower + problem.upper) / 2.0, np.inf, 0
+        self.first = np.inf
         self.population = Population(first, np.full(len(first), np.inf))
-        self.history: list[tuple[int, float]] = []
 
     def search(self, method: Solver, rng: np.random.Generator) -> tuple[Status, str]:
         """Evaluate the first population, then one generation after the other until there is an ending."""
         self.population = self.evaluate(self.population.x)
+        self.first = self.cost
         generations = method(self.population, self.evaluate, rng)
-        while True:
-            self.record()
-            ending = self.ending()
-            if ending is not None:
-                return ending
+        while (ending := self.ending()) is None:
             self.population = next(generations)
+        return ending
 
     def evaluate(self, candidates: FloatArray) -> Population:
         """Into the box, then the cost; rows beyond the budget are not evaluated and cost +inf."""
@@ -185,10 +189,6 @@ class _Run:
         if paid.cost[best] < self.cost:
             self.x, self.cost = x[best].copy(), float(paid.cost[best])
         return Population(x, np.concatenate([paid.cost, np.full(len(x) - affordable, np.inf)]))
-
-    def record(self) -> None:
-        """One row of history."""
-        self.history.append((self.evaluations, self.cost))
 
     def ending(self) -> tuple[Status, str] | None:
         """Why to stop now, if there is a reason."""
@@ -223,7 +223,7 @@ class HybridResult(Result):
         a single one of many: look at the others before believing it.
     """
 
-    explored: Result
+    explored: SearchResult
     local: tuple[Result, ...]
     share: float
 
@@ -266,8 +266,7 @@ def hybrid(
         status="interrupted" if interrupted else best.status,
         message=INTERRUPTED if interrupted else _message(best, local, share),
         evaluations=sum(stage.evaluations for stage in stages),
-        history=_joined(stages),
-        population=_ends(local) if local else best.population,
+        first=explored.first,
         seconds=perf_counter() - began,
         explored=explored,
         local=tuple(local),
@@ -275,7 +274,7 @@ def hybrid(
     )
 
 
-def _refine(problem: Problem, queue: FloatArray, explored: Result, local: list[Result]) -> bool:
+def _refine(problem: Problem, queue: FloatArray, explored: SearchResult, local: list[Result]) -> bool:
     """Refine the starts into `local`, by Newton's method; return whether that was interrupted.
 
     IPOPT takes three times as long: it begins anew where Newton's method fails or ends above the best cost.
@@ -291,7 +290,7 @@ def _refine(problem: Problem, queue: FloatArray, explored: Result, local: list[R
             tried = [ipopt(problem, queue[k]), local[k]]
             evaluations = sum(stage.evaluations for stage in tried)
             lower = min(tried, key=lambda stage: stage.cost)
-            local[k] = replace(lower, evaluations=evaluations, history=_joined(tried[::-1]))
+            local[k] = replace(lower, evaluations=evaluations)
             if tried[0].status == "interrupted":
                 return True
     except KeyboardInterrupt:
@@ -302,9 +301,7 @@ def _refine(problem: Problem, queue: FloatArray, explored: Result, local: list[R
 def _reached(stages: list[Result]) -> list[bool]:
     """Which of the results have the best cost."""
     lowest = min(stage.cost for stage in stages)
-    begun = [
-        stage.history[0, 1] for stage in stages if len(stage.history) and np.isfinite(stage.history[0, 1])
-    ]
+    begun = [stage.first for stage in stages if np.isfinite(stage.first)]
     tolerance = SAME * abs(lowest) + 1e-12 * (max(begun) - lowest) if begun else 0.0
     return [bool(np.isfinite(stage.cost) and stage.cost <= lowest + tolerance) for stage in stages]
 
@@ -313,17 +310,3 @@ def _message(best: Result, local: list[Result], share: float) -> str:
     if not local:
         return f"There was nothing to refine. {best.message}"
     return f"{share:.0%} of {len(local)} refined starts reached the best cost. {best.message}"
-
-
-def _joined(stages: list[Result]) -> FloatArray:
-    """The histories one after the other: evaluations add up, the best cost only falls."""
-    table = np.concatenate([stage.history for stage in stages])
-    before = np.cumsum([0, *(stage.evaluations for stage in stages[:-1])])
-    table[:, 0] += np.repeat(before, [len(stage.history) for stage in stages])
-    table[:, 1] = np.minimum.accumulate(table[:, 1])
-    return table
-
-
-def _ends(local: list[Result]) -> Population:
-    """Where the local methods ended."""
-    return Population(np.array([stage.x for stage in local]), np.array([stage.cost for stage in local]))

@@ -18,7 +18,7 @@ import casadi
 import numpy as np
 from numpy.typing import ArrayLike
 
-from solvers.newton import NEGLIGIBLE, curves_down, inside, local_result, newton, what_is_left
+from solvers.newton import NEGLIGIBLE, curves_down, inside, newton, what_is_left
 from solvers.problem import INTERRUPTED, FloatArray, Problem, Result, Status
 
 QUIET = {
@@ -131,19 +131,21 @@ def ipopt(
         status, message = attempt.run()
     except KeyboardInterrupt:
         status, message = "interrupted", INTERRUPTED
-    return local_result(attempt.x, attempt.f, status, message + note, attempt.history, perf_counter() - began)
+    evaluations = attempt.recent.calls + attempt.further
+    return Result(
+        attempt.x, attempt.f, status, message + note, evaluations, attempt.first, perf_counter() - began
+    )
 
 
 class _Attempt:
     """One run of IPOPT from one start."""
 
     def __init__(self, problem: Problem, x: FloatArray, max_iterations: int, options: dict[str, Any]) -> None:
-        self.problem, self.max_iterations, self.x, self.f = problem, max_iterations, x, np.inf
+        self.problem, self.max_iterations, self.x = problem, max_iterations, x
+        self.f, self.first, self.further = np.inf, np.inf, 0
         width = np.where(np.isfinite(problem.width) & (problem.width > 0.0), problem.width, 1.0)
         self.unit = 2.0 ** np.rint(np.log2(width))  # powers of two: dividing by them is exact
         self.lower, self.upper = problem.lower, problem.upper
-        self.history: list[tuple[int, float]] = []
-        self.calls = 1
         self.recent = recent = Recent(problem, self.unit)
         dim, one = problem.dim, casadi.Sparsity.dense(1, 1)
         slope, triangle = casadi.Sparsity.dense(dim, 1), np.tril_indices(dim)  # of H': columns of H
@@ -155,11 +157,11 @@ class _Attempt:
         u, scale = casadi.MX.sym("u", dim), casadi.MX.sym("scale")
         # CasADi holds no reference to its parts: they must live as long as the solver
         self.cost = _Part("cost", recent, [one], lambda _: (recent.f,))
-        self.parts = {
+        self.parts: dict[str, Any] = {
             "grad_f": _Part("gradient", recent, [one, slope], lambda _: (recent.f, recent.gradient)),
             "hess_lag": _Part("hessian", recent, [casadi.Sparsity.upper(dim)], hessian, inputs=4),
         }
-        nlp = {"x": u, "p": scale, "f": self.cost(u, scale)}
+        nlp: dict[str, Any] = {"x": u, "p": scale, "f": self.cost(u, scale)}
         try:
             mmap.mmap(-1, ROOM).close()
         except OSError as error:
@@ -172,7 +174,8 @@ class _Attempt:
 
         From far away the cost at the start is a poor measure: another round takes that of the point reached.
         """
-        slope = self.take(self.x, 1)
+        slope = self.take(self.x)
+        self.first = self.f
         if np.isinf(self.f):
             return "failed", "The cost is not finite at the start: choose another start."
         if (self.lower == self.upper).all():
@@ -200,10 +203,9 @@ class _Attempt:
     def go_on(self, found: str) -> tuple[Status, str]:
         """Newton's method from a point that satisfies IPOPT and is no optimum."""
         further = newton(self.problem, self.x, max_iterations=self.max_iterations)
-        self.calls += further.evaluations
+        self.further = further.evaluations
         if further.cost < self.f:
             self.x, self.f = further.x, further.cost
-        self.history.append((self.calls, self.f))
         return further.status, f"{found} {further.message}"
 
     def round(self, scale: float) -> str:
@@ -213,18 +215,16 @@ class _Attempt:
         stats = self.solver.stats()
         self.after_python_error()
         found = np.clip(np.array(answer["x"]).ravel() * self.unit, self.lower, self.upper)
-        self.calls = self.recent.calls
-        self.take(found, self.calls)
+        self.take(found)
         if stats["return_status"] in CTRL_C:
             raise KeyboardInterrupt
         return str(stats["return_status"])
 
-    def take(self, x: FloatArray, evaluations: int) -> FloatArray:
+    def take(self, x: FloatArray) -> FloatArray:
         """Keep `x` if it is strictly better; return the slope there, the gradient by `u`."""
         there = self.at(x)
         if -np.inf < there.f < self.f:
             self.x, self.f = x, there.f
-        self.history.append((evaluations, self.f))
         return there.gradient
 
     def at(self, x: FloatArray) -> Recent:
@@ -239,7 +239,6 @@ class _Attempt:
         if recent.error is not None:
             if recent.best_f < self.f:
                 self.x, self.f = recent.best, recent.best_f
-                self.history.append((recent.calls, self.f))
             raise recent.error
 
     def left(self) -> tuple[FloatArray, float, str]:

@@ -13,7 +13,7 @@ from typing import Literal, Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from solvers.problem import INTERRUPTED, FloatArray, Population, Problem, Result, Status, misuse
+from solvers.problem import INTERRUPTED, FloatArray, Problem, Result, Status, misuse
 
 EPS = float(np.finfo(float).eps)
 NEGLIGIBLE = 1e-6  # of the cost: what a converged point may still promise when steps no longer improve
@@ -116,7 +116,10 @@ def newton(problem: Problem, x0: ArrayLike, *, max_iterations: int = 200, tolera
         status, message = descent.run(max_iterations)
     except KeyboardInterrupt:
         status, message = "interrupted", INTERRUPTED
-    return local_result(descent.x, descent.f, status, message + note, descent.history, perf_counter() - began)
+    return Result(
+        descent.x, descent.f, status, message + note, descent.evaluations, descent.first,
+        perf_counter() - began,
+    )  # fmt: skip
 
 
 class _Descent:
@@ -125,14 +128,14 @@ class _Descent:
     def __init__(self, problem: Problem, x: FloatArray, tolerance: float) -> None:
         self.problem, self.x, self.tolerance = problem, x, tolerance
         self.derivatives = problem.second_order
-        self.f, self.evaluations = np.inf, 0
+        self.f, self.first, self.evaluations = np.inf, np.inf, 0
         self.damping, self.factor, self.successes = 0.0, 10.0, 0
-        self.history: list[tuple[int, float]] = []
 
     def run(self, max_iterations: int) -> tuple[Status, str]:
         """Iterate until there is a reason to stop."""
         if not self.take(self.x):
             return "failed", "The cost or its derivatives are not finite at the start: choose another start."
+        self.first = self.f
         lower, upper = self.problem.lower, self.problem.upper
         self.floor = self.tolerance * EPS * abs(self.f)
         for _ in range(max_iterations):
@@ -159,7 +162,6 @@ class _Descent:
             better = bool(-np.inf < f < self.f and np.isfinite(gradient).all() and np.isfinite(hessian).all())
         if better:
             self.x, self.f, self.gradient, self.hessian = x, float(f), gradient, hessian
-        self.history.append((self.evaluations, self.f))
         return better
 
     def adapt(self, ratio: float) -> None:
@@ -197,15 +199,6 @@ def inside(problem: Problem, x0: ArrayLike, where: str) -> tuple[FloatArray, str
         raise misuse("x0", where, f"finite, of shape ({problem.dim},)", x0)
     x = np.minimum(np.maximum(given, problem.lower), problem.upper)
     return x, "" if (x == given).all() else " The start was outside the bounds and was clipped."
-
-
-def local_result(
-    x: FloatArray, f: float, status: Status, message: str, history: list[tuple[int, float]], seconds: float
-) -> Result:
-    """A `Result` with the one point a local method ends at."""
-    points = Population(x[None, :], np.array([f]))
-    rows = np.array(history, dtype=float).reshape(-1, 2)
-    return Result(x, f, status, message, int(rows[-1, 0]) if len(rows) else 0, rows, points, seconds)
 
 
 SHORTER, SHORTEST = 0.3, 1e-3

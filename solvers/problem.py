@@ -127,8 +127,7 @@ class Result:
     x (dim,), cost: the best point evaluated.
     status: "converged", "budget", "interrupted" or "failed"; message: what that means here, and what to do.
     evaluations: rows of `Problem.cost`, or calls of the derivatives.
-    history (n, 2): evaluations so far, best cost so far.
-    population: final points and their costs (one point for a local method).
+    first: cost at the start, the least of a population; infinite where it was not evaluated.
     seconds: wall time.
     """
 
@@ -137,8 +136,7 @@ class Result:
     status: Status
     message: str
     evaluations: int
-    history: FloatArray
-    population: Population
+    first: float
     seconds: float
 
 

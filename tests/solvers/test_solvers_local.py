@@ -44,7 +44,7 @@ def test_never_worse_than_the_clipped_start(method, x0, iterations):
 def test_a_start_outside_is_clipped(method):
     result = method(SPHERE.problem(), [99.0] * 5)
     assert result.status == "converged"
-    assert result.history[0, 1] == SPHERE.cost_of(np.full((1, 5), 5.0))[0]
+    assert result.first == SPHERE.cost_of(np.full((1, 5), 5.0))[0]
     assert "clipped" in result.message
     assert "clipped" not in method(SPHERE.problem(), [4.0] * 5).message
 
