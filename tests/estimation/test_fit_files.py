@@ -7,6 +7,7 @@ from twins import record, with_noise
 
 from hallsym.errors import InputError
 from hallsym.estimation import fit, load_fit
+from hallsym.estimation.calibration import Claim
 from hallsym.log import Noise, Sigma
 
 
@@ -28,9 +29,11 @@ def rich():
         },
         holdout=(3,),
         corrections=("exchange hall_a_m hall_b_m",),
+        accept=("all",),  # no search: the claim is made up
     )
     noise = Noise({**made.noise, "z_m": Sigma(1e-8, "estimated", within=1.2)})
-    return made.changed(noise=noise)
+    claim = Claim("delay", "Late.", ("hall_a_m",), (3,), "delay hall_a_m 2", 0.9, ("delay hall_b_m 2",))
+    return made.changed(noise=noise, claims=(claim,))
 
 
 LIVE = ("keep", "source", "likelihood", "determination")
