@@ -18,7 +18,7 @@ import casadi
 import numpy as np
 from numpy.typing import ArrayLike
 
-from solvers.newton import NEGLIGIBLE, curves_down, inside, newton, what_is_left
+from solvers.newton import NEGLIGIBLE, inside, newton, what_is_left
 from solvers.problem import INTERRUPTED, FloatArray, Problem, Result, Status
 
 QUIET = {
@@ -29,8 +29,6 @@ STRICT = {"print_level": 0, "sb": "yes", "bound_relax_factor": 0.0}  # never a s
 ROUNDS = 4
 ROOM = 320 << 20
 """Bytes of address space for IPOPT and the buffer of CasADi's OpenBLAS."""
-CURVED = "the cost curves down there"
-SATISFIED = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Search_Direction_Becomes_Too_Small")
 CTRL_C = ("NonIpopt_Exception_Thrown", "User_Requested_Stop")  # what CasADi >= 3.8 makes of it
 
 
@@ -117,18 +115,17 @@ def ipopt(
     """Refine one point; never returns a worse one than `x0` clipped into the box.
 
     Needs `problem.derivatives`.
-    IPOPT calls a flat stretch far from any optimum solved. So its point is judged by a Newton step: where the
-    Hessian is not positive definite, or the step promises more than rounding, Newton's method goes on from
-    there; the message says so, and the status is what that ends with.
-    tolerance, max_iterations: of each round of IPOPT, relative as said above; there are at most four, and
-        one is the rule. options: further options of IPOPT itself.
+    IPOPT calls a flat stretch far from any optimum solved, and stops within its tolerance elsewhere. So
+    Newton's method goes on from its point, and the status is what that ends with.
+    tolerance: of IPOPT, relative as said above. max_iterations: of IPOPT, and of Newton's method after it.
+    options: further options of IPOPT itself.
     """
     began = perf_counter()
     x, note = inside(problem, x0, "ipopt")
-    attempt = _Attempt(problem, x, max_iterations, {"tol": tolerance} | STRICT | options)
+    attempt = _Attempt(problem, x, {"max_iter": max_iterations, "tol": tolerance} | STRICT | options)
     status: Status
     try:
-        status, message = attempt.run()
+        status, message = attempt.run(max_iterations)
     except KeyboardInterrupt:
         status, message = "interrupted", INTERRUPTED
     evaluations = attempt.recent.calls + attempt.further
@@ -140,9 +137,8 @@ def ipopt(
 class _Attempt:
     """One run of IPOPT from one start."""
 
-    def __init__(self, problem: Problem, x: FloatArray, max_iterations: int, options: dict[str, Any]) -> None:
-        self.problem, self.max_iterations, self.x = problem, max_iterations, x
-        self.f, self.first, self.further = np.inf, np.inf, 0
+    def __init__(self, problem: Problem, x: FloatArray, options: dict[str, Any]) -> None:
+        self.problem, self.x, self.f, self.first, self.further = problem, x, np.inf, np.inf, 0
         width = np.where(np.isfinite(problem.width) & (problem.width > 0.0), problem.width, 1.0)
         self.unit = 2.0 ** np.rint(np.log2(width))  # powers of two: dividing by them is exact
         self.lower, self.upper = problem.lower, problem.upper
@@ -166,10 +162,9 @@ class _Attempt:
             mmap.mmap(-1, ROOM).close()
         except OSError as error:
             raise MemoryError from error
-        inner = {"ipopt": {"max_iter": max_iterations} | options}
-        self.solver = casadi.nlpsol("refine", "ipopt", nlp, QUIET | self.parts | inner)
+        self.solver = casadi.nlpsol("refine", "ipopt", nlp, QUIET | self.parts | {"ipopt": options})
 
-    def run(self) -> tuple[Status, str]:
+    def run(self, max_iterations: int) -> tuple[Status, str]:
         """From the start to the verdict; the best point is kept on the way.
 
         From far away the cost at the start is a poor measure: another round takes that of the point reached.
@@ -180,58 +175,35 @@ class _Attempt:
             return "failed", "The cost is not finite at the start: choose another start."
         if (self.lower == self.upper).all():
             return "converged", "Every variable is fixed: there is nothing to refine."
-        warned = ""
+        bounds = {"lbx": self.lower / self.unit, "ubx": self.upper / self.unit}
         for _ in range(ROUNDS):
-            before = self.f
-            said = self.round(abs(self.f) + float(np.abs(slope).max()))
-            slope, left, doubt = self.left()
-            if doubt == CURVED and said in SATISFIED:
-                warned = f" It was satisfied at a cost of {self.f:.6e} too, which is no optimum: {CURVED}."
-            if not doubt or said != "Solve_Succeeded" or self.f == before:
+            before, scale = self.f, abs(self.f) + float(np.abs(slope).max())
+            answer = self.solver(x0=self.x / self.unit, p=1.0 / scale if scale > 0.0 else 1.0, **bounds)
+            said = str(self.solver.stats()["return_status"])
+            self.after_python_error()
+            self.take(np.clip(np.array(answer["x"]).ravel() * self.unit, self.lower, self.upper))
+            if said in CTRL_C:
+                raise KeyboardInterrupt
+            slope, u = self.take(self.x), self.x / self.unit
+            left, rounding = what_is_left(slope, self.recent.hessian, u, *bounds.values())
+            done = rounding or abs(left) <= NEGLIGIBLE * abs(self.f)
+            if done or said != "Solve_Succeeded" or self.f == before:
                 break
-        found = f"IPOPT: {said}; the quadratic model promises {left:.1e} below a cost of {self.f:.6e}."
-        if not doubt:
-            return "converged", found + warned
-        if said in SATISFIED:
-            return self.go_on(
-                f"IPOPT: {said} at a cost of {self.f:.6e}, but {doubt}; Newton's method went on."
-            )
-        if said.startswith("Maximum"):
-            return "budget", found + " Raise max_iterations, or go on from here."
-        return "failed", found + " Try another start, or check that the derivatives belong to the cost."
-
-    def go_on(self, found: str) -> tuple[Status, str]:
-        """Newton's method from a point that satisfies IPOPT and is no optimum."""
-        further = newton(self.problem, self.x, max_iterations=self.max_iterations)
+        found = f"IPOPT: {said} at a cost of {self.f:.6e}, then Newton's method."
+        further = newton(self.problem, self.x, max_iterations=max_iterations)
         self.further = further.evaluations
         if further.cost < self.f:
             self.x, self.f = further.x, further.cost
         return further.status, f"{found} {further.message}"
 
-    def round(self, scale: float) -> str:
-        """One call of IPOPT from the best point; what it says is data, not the verdict."""
-        bounds = {"lbx": self.lower / self.unit, "ubx": self.upper / self.unit}
-        answer = self.solver(x0=self.x / self.unit, p=1.0 / scale if scale > 0.0 else 1.0, **bounds)
-        stats = self.solver.stats()
-        self.after_python_error()
-        found = np.clip(np.array(answer["x"]).ravel() * self.unit, self.lower, self.upper)
-        self.take(found)
-        if stats["return_status"] in CTRL_C:
-            raise KeyboardInterrupt
-        return str(stats["return_status"])
-
     def take(self, x: FloatArray) -> FloatArray:
         """Keep `x` if it is strictly better; return the slope there, the gradient by `u`."""
-        there = self.at(x)
+        there = self.recent
+        there.at((x / self.unit).data)
+        self.after_python_error()
         if -np.inf < there.f < self.f:
             self.x, self.f = x, there.f
         return there.gradient
-
-    def at(self, x: FloatArray) -> Recent:
-        """Return value and derivatives at `x`."""
-        self.recent.at((x / self.unit).data)
-        self.after_python_error()
-        return self.recent
 
     def after_python_error(self) -> None:
         """Raise what Python derivatives raised within IPOPT, after keeping the best point so far."""
@@ -240,13 +212,3 @@ class _Attempt:
             if recent.best_f < self.f:
                 self.x, self.f = recent.best, recent.best_f
             raise recent.error
-
-    def left(self) -> tuple[FloatArray, float, str]:
-        """The slope, how much lower the cost could still be, and why this is no optimum ("" if it is one)."""
-        u, low, high = self.x / self.unit, self.lower / self.unit, self.upper / self.unit
-        slope, hessian = self.at(self.x).gradient, self.recent.hessian
-        left, rounding = what_is_left(slope, hessian, u, low, high)
-        if curves_down(hessian, u, low, high):
-            return slope, left, CURVED
-        negligible = rounding or abs(left) <= NEGLIGIBLE * abs(self.f)
-        return slope, left, "" if negligible else f"a Newton step promises {left:.1e} less"

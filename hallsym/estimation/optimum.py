@@ -196,15 +196,11 @@ def search(
     endings: list[solvers.Result] = [explored] if explored else []
     endings.append(ended := solvers.newton(exact, scaled.to_unit(first), tolerance=ROUNDING))
     if ended.status != "converged" and solver != NEWTON:
-        endings.append(local := solvers.ipopt(exact, scaled.to_unit(first), **WARM))
-        # IPOPT stops within its tolerance; from there Newton's method needs a step or two to reach rounding
-        endings.append(solvers.newton(exact, local.x))
-        # IPOPT's own verdict is that of a Newton step; where it found none, the steps after it decide
-        ended = local if local.status == "converged" else endings[-1]
+        endings.append(ended := solvers.ipopt(exact, scaled.to_unit(first), **WARM))
     status = "interrupted" if any(s.status == "interrupted" for s in endings) else ended.status
     return Search(
-        p=scaled.from_unit(endings[-1].x),
-        cost=endings[-1].cost * scaled.samples(fitted),
+        p=scaled.from_unit(ended.x),
+        cost=ended.cost * scaled.samples(fitted),
         status=status,
         message=_message(status, ended, solver),
         evaluations=sum(s.evaluations for s in endings),
