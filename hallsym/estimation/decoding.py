@@ -3,6 +3,7 @@
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import casadi as ca
 import numpy as np
 
 from hallsym.errors import InputError
@@ -11,8 +12,7 @@ from hallsym.log.batches import Batch, Weigh, batches
 from hallsym.log.derived import extended
 from hallsym.log.phase import wrapped
 from hallsym.model import Model
-from hallsym.model.arrays import on_arrays
-from hallsym.model.influence import gain_at
+from hallsym.model.arrays import estimator, jacobian, on_arrays
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +88,31 @@ def decoder(model: Model, reading_variance: np.ndarray) -> Callable[..., np.ndar
             return run(p, offsets, readings, states, weight, reference)[0]
 
     return decode
+
+
+def column_slopes(
+    model: Model, p: np.ndarray, pose: Sequence | np.ndarray, state: Sequence | np.ndarray
+) -> np.ndarray:
+    """Return d reading / d column of pose and state at offsets of 0, (s, n_channels, columns)."""
+
+    def made() -> Callable[..., list[np.ndarray]]:
+        s = model.symbols
+        reading = ca.substitute(s.full(s.reading), s.offsets, ca.SX.zeros(s.offsets.numel()))
+        slope = jacobian(reading, ca.vertcat(s.pose, s.state))
+        return on_arrays(ca.Function("slope", [s.parameters, s.pose, s.state], [ca.densify(slope)]))
+
+    (flat,) = model.remember("slopes by column", made)(p, pose, state)
+    return np.transpose(flat.reshape(-1, len(model.channels), np.size(pose[0])), (2, 1, 0))
+
+
+def gain_at(
+    model: Model, p: np.ndarray, pose: Sequence | np.ndarray, state: Sequence | np.ndarray, weight: np.ndarray
+) -> np.ndarray:
+    """Return d pose / d reading at any pose, (s, n_pose, n_channels).
+
+    Solved in numbers: written out, the solution of six equations is most of the graph.
+    """
+    return estimator(column_slopes(model, p, pose, state)[:, :, : len(model.pose)], weight)
 
 
 def decoding_gain(

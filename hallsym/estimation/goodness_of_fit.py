@@ -30,7 +30,7 @@ from scipy.linalg import solve_toeplitz
 from scipy.linalg.lapack import dtbtrs
 from scipy.special import chdtrc, chdtri, ndtri, stdtrit
 
-from hallsym.estimation.decoding import columns_of, residual_of
+from hallsym.estimation.decoding import column_slopes, columns_of, gain_at, residual_of
 from hallsym.estimation.likelihood import Cost, Point, offsets_of
 from hallsym.families.mechanisms import stop_operators
 from hallsym.log import Log, Noise
@@ -38,7 +38,6 @@ from hallsym.log.batches import Weigh, batches
 from hallsym.log.core import edges_of
 from hallsym.log.derived import extended
 from hallsym.model import Model
-from hallsym.model.influence import column_slopes, gain_at
 
 KNOWN = 0.03
 """Relative uncertainty of a noise floor: n samples know a standard deviation to 1 / sqrt(2 n), 560 to 3 %."""

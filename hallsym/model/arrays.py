@@ -219,3 +219,12 @@ def medians_of(values: np.ndarray, kept: np.ndarray) -> np.ndarray:
     middle = np.maximum(np.array([(count - 1) // 2, count // 2]), 0)
     found = np.take_along_axis(ordered, middle, axis=0).mean(axis=0)
     return np.where(count > 0, found, 0.0)
+
+
+def estimator(slopes: np.ndarray, weight: np.ndarray | None = None) -> np.ndarray:
+    """Return (J^T W J)^-1 J^T W for J = `slopes` (..., n_channels, m) and the weights (n_channels,) W."""
+    JW = np.swapaxes(slopes, -1, -2) * (1.0 if weight is None else weight)
+    try:
+        return np.linalg.solve(JW @ slopes, JW)
+    except np.linalg.LinAlgError:  # where no reading sees a coordinate
+        return np.asarray(np.linalg.pinv(JW @ slopes) @ JW)

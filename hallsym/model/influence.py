@@ -12,7 +12,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from hallsym.model.arrays import jacobian, on_arrays
+from hallsym.model.arrays import estimator, on_arrays
 from hallsym.model.model import Model
 
 Columns = Sequence | np.ndarray
@@ -48,36 +48,6 @@ def influence(
     by_p, by_zero, J, by_state = reading_slopes(model, p, offsets, pose, state)
     D = estimator(J, weight)
     return Influence(parameters=-D @ by_p, readings=D, state=-D @ by_state, offsets=-D @ by_zero)
-
-
-def estimator(slopes: np.ndarray, weight: np.ndarray | None = None) -> np.ndarray:
-    """Return (J^T W J)^-1 J^T W for J = `slopes` (..., n_channels, m) and the weights (n_channels,) W."""
-    JW = np.swapaxes(slopes, -1, -2) * (1.0 if weight is None else weight)
-    try:
-        return np.linalg.solve(JW @ slopes, JW)
-    except np.linalg.LinAlgError:  # where no reading sees a coordinate
-        return np.asarray(np.linalg.pinv(JW @ slopes) @ JW)
-
-
-def column_slopes(model: Model, p: np.ndarray, pose: Columns, state: Columns) -> np.ndarray:
-    """Return d reading / d column of pose and state at offsets of 0, (s, n_channels, columns)."""
-
-    def made() -> Callable[..., list[np.ndarray]]:
-        s = model.symbols
-        reading = ca.substitute(s.full(s.reading), s.offsets, ca.SX.zeros(s.offsets.numel()))
-        slope = jacobian(reading, ca.vertcat(s.pose, s.state))
-        return on_arrays(ca.Function("slope", [s.parameters, s.pose, s.state], [ca.densify(slope)]))
-
-    (flat,) = model.remember("slopes by column", made)(p, pose, state)
-    return np.transpose(flat.reshape(-1, len(model.channels), np.size(pose[0])), (2, 1, 0))
-
-
-def gain_at(model: Model, p: np.ndarray, pose: Columns, state: Columns, weight: np.ndarray) -> np.ndarray:
-    """Return d pose / d reading at any pose, (s, n_pose, n_channels).
-
-    Solved in numbers: written out, the solution of six equations is most of the graph.
-    """
-    return estimator(column_slopes(model, p, pose, state)[:, :, : len(model.pose)], weight)
 
 
 def reading_slopes(

@@ -23,8 +23,8 @@ from hallsym.estimation import Fit
 from hallsym.families import adapted, plain
 from hallsym.files import read_json
 from hallsym.model import Model
-from hallsym.model.arrays import on_arrays
-from hallsym.model.influence import estimator, influence, reading_slopes
+from hallsym.model.arrays import estimator, on_arrays
+from hallsym.model.influence import influence, reading_slopes
 from hallsym.toml import Table, number, unit_of, whole
 from hallsym.uncertainty.gum import Source, coverage_of
 from hallsym.units import si_unit, split_unit
