@@ -13,7 +13,6 @@ from hallsym.cli.common import chosen, column_numbers, column_ranges, say
 from hallsym.codegen import Generated, generate
 from hallsym.codegen.folder import name_of
 from hallsym.codegen.generation import sha256
-from hallsym.codegen.lowering.correction import KINDS as CORRECTIONS
 from hallsym.codegen.naming import PREFIX
 from hallsym.codegen.observer import Observer, observer_of
 from hallsym.codegen.templates import LICENSE
@@ -46,9 +45,7 @@ calibration CALIB               a calibration saved by 'hallsym fit -o'
     without a floating-point unit
 --accuracy COLUMN=ANGLE         encoders: largest error of the correction of the angle besides
     rounding, as angle_mrad=1 (default: angle_nrad=30, of q31 angle_urad=10); a coarser one takes
-    fewer waves or a smaller table; magnet arrays: of a place, as x_um=0.1
---correction CORRECTION <{"|".join(CORRECTIONS)}>  encoders: a series of waves, or a table of 64 to
-    1024 entries (default: auto, fewer bytes)
+    a smaller table; magnet arrays: of a place, as x_um=0.1
 --name NAME                     prefix of symbols and files, such as enc_left (default: decoupler):
     several decouplers then fit in one image
 --license SPDX                  SPDX expression in every file, such as MIT (default: {LICENSE},

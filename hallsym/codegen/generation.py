@@ -42,7 +42,7 @@ REPLACED = (
     "proof/exhaustive.c",
 )  # fmt: skip
 """Beginnings of the files that a recalibration replaces: numbers, and what tries them."""
-UNSEEN = {"accuracy": np.pi, "correction": "series:0"}
+UNSEEN = {"accuracy": np.pi}
 """Options of float code of which integers take the model and the box alone: the least there is to compute."""
 
 
@@ -110,7 +110,6 @@ def generate(
     double: bool = False,
     jacobian: bool = False,
     accuracy: float | None = None,
-    correction: str | None = None,
     allow_undetermined: bool = False,
     calibration_sha256: str | None = None,
     name: str = PREFIX,
@@ -124,13 +123,12 @@ def generate(
     unit. `ranges`: least and greatest value by column [SI] in place of what the log recorded. `double`: for
     hosts. `jacobian`: with `decoupler_jacobian()`, the slopes of the pose by the readings. Models
     of an angle: `accuracy` is what the correction of it may leave besides rounding [rad], default 3e-8, of
-    integers 1e-5; `correction` is "series", "table", or "auto" for the one of fewer bytes. Magnet arrays:
-    `accuracy` is what harmonics and polynomials may leave of a place [m]. `name`: prefix of symbols and
-    files, so that several decouplers fit in one image. `license`: SPDX expression in every file, default
-    `LICENSE`: generated, and yours to license. `observer`: with `decoupler_predict()`, position and speed at
-    the time that a controller asks for. `like`: a generated folder whose code it shall have, for a
-    recalibration: what was chosen there is taken where it is not given. Raises `InputError` for a calibration
-    that cannot be trusted on a controller.
+    integers 1e-5. Magnet arrays: `accuracy` is what harmonics and polynomials may leave of a place [m].
+    `name`: prefix of symbols and files, so that several decouplers fit in one image. `license`: SPDX
+    expression in every file, default `LICENSE`: generated, and yours to license. `observer`: with
+    `decoupler_predict()`, position and speed at the time that a controller asks for. `like`: a generated
+    folder whose code it shall have, for a recalibration: what was chosen there is taken where it is not
+    given. Raises `InputError` for a calibration that cannot be trusted on a controller.
     """
     before: Mapping[str, Any] = {} if like is None else record_of(Path(like))
     if arithmetic is None:
@@ -149,7 +147,7 @@ def generate(
     box = box_of(fit, ranges, entries_of(before))
     given: dict[str, Any] = {
         "accuracy": chosen.get("accuracy") if accuracy is None else accuracy,
-        "correction": chosen.get("correction") if correction is None else correction,
+        "correction": chosen.get("correction"),
     }
     if observer is None and "observer" in chosen:
         observer = Observer(**{**chosen["observer"], "said": tuple(chosen["observer"].get("said", ()))})
@@ -225,7 +223,7 @@ def _integers(
                 f"--range {column} does not go with --arithmetic q31, where every bit pattern of {column} is "
                 "an angle; leave it out."
             )
-    found = lower(fit, box, **(UNSEEN if UNSEEN.keys() <= set(options) else given))
+    found = lower(fit, box, **(UNSEEN if "correction" in options else given))
     _check_names(found)
     check_gains(pose_bounds(found))
     check_same(found)

@@ -1,4 +1,4 @@
-"""The correction of an encoder: waves or a table, what it leaves, and channels that are clipped.
+"""The correction of an encoder: the smallest table, what it leaves, and channels that are clipped.
 
 Independent facts: dense samples lie within enclosed ranges; the model's own readings at a known angle; a
 bound holds at angles that no proof looked at.
@@ -19,7 +19,7 @@ import hallsym
 from hallsym.cli.main import main
 from hallsym.codegen.decoupler import computed
 from hallsym.codegen.intervals import Enclosure, enclose
-from hallsym.codegen.lowering.correction import Grid, Series, grid, proved, shortest_correction
+from hallsym.codegen.lowering.correction import SIZES, grid, proved, sampled, smallest_correction, table_bytes
 from hallsym.codegen.lowering.phase_curve import Curve
 from hallsym.codegen.operations import graph
 from hallsym.errors import InputError
@@ -45,8 +45,8 @@ def curve(case):
 
 
 @cache
-def made(case, accuracy=None, kind=None):
-    return hallsym.generate(fit_of(case), accuracy=accuracy, correction=kind)
+def made(case, accuracy=None):
+    return hallsym.generate(fit_of(case), accuracy=accuracy)
 
 
 SLOW = pytest.mark.slow
@@ -110,8 +110,7 @@ def test_what_a_table_leaves_is_bounded_and_nearly_met(case, form):
 
 def test_the_slope_and_bend_of_a_correction_bound_what_it_does():
     phase = np.linspace(-pi, pi, 20_001)
-    for found in (grid(curve("clipped"), 256, 3, False), grid(curve("meng angle"), 64, 1, True),
-                  shortest_correction(curve("meng angle"), kind="series")):  # fmt: skip
+    for found in (grid(curve("clipped"), 256, 3, False), grid(curve("meng angle"), 64, 1, True)):
         value, slope = found.at(phase)
         inside = slice(1, -1)
         seen = np.gradient(value, phase)[inside]
@@ -121,14 +120,17 @@ def test_the_slope_and_bend_of_a_correction_bound_what_it_does():
         assert same.mean() > 0.98  # all but the corners of lines
 
 
-@pytest.mark.parametrize("case", ["meng angle", "harmonics volts"])
-@pytest.mark.parametrize("accuracy", [1e-6, 1e-3])
-def test_the_smaller_of_series_and_table_is_taken(case, accuracy):
-    forms = [shortest_correction(curve(case), accuracy, kind) for kind in ("series", "table", "auto")]
-    assert isinstance(forms[0], Series)
-    assert isinstance(forms[1], Grid)
-    assert all(form.left <= accuracy for form in forms)
-    assert forms[2].bytes == min(forms[0].bytes, forms[1].bytes)
+@pytest.mark.parametrize("case", ["meng angle", "harmonics volts", "ideal volts", "ellipse volts"])
+@pytest.mark.parametrize("accuracy", [1e-6, 1e-3, 0.9])
+def test_no_smaller_table_than_the_one_taken_would_do(case, accuracy):
+    found = smallest_correction(curve(case), accuracy)
+    assert found.left <= accuracy
+    plain = case in ("ideal volts", "ellipse volts")  # the linear map does it all
+    assert found.looked_up == (accuracy < 0.9 and not plain)
+    taken = table_bytes(len(found.values), found.degree, found.integers)
+    for form in ((n, degree, integers) for n in SIZES for degree in (1, 3) for integers in (True, False)):
+        if found.looked_up and table_bytes(*form) < taken:
+            assert sampled(curve(case), grid(curve(case), *form)) > accuracy
 
 
 # -- clipped channels ----------------------------------------------------------------------------------------
@@ -153,5 +155,5 @@ def test_the_command_takes_an_accuracy_in_any_unit(tmp_path, capsys):
     assert main([*base, "--accuracy", "angle_mrad=one"]) == 2
     assert main(base) == 2
     assert "is within reach: give --accuracy" in capsys.readouterr().err
-    assert main([*base, "--accuracy", "angle_mrad=5", "--correction", "table"]) == 0
+    assert main([*base, "--accuracy", "angle_mrad=5"]) == 0
     assert "table of 592 bytes" in capsys.readouterr().out

@@ -107,19 +107,16 @@ EVERY = {
         lambda: faults.made_of("five Halls", "q31"), lambda: faults.fit_of("five Halls"), (1300, 8500)
     ),
     **{
-        f"{case} {form}": encoder(case, form, {("ellipse", "volts"): 130, ("meng", "angle"): 170}.get(
+        f"{case} {form}": encoder(case, form, {("ellipse", "volts"): 130, ("meng", "angle"): 100}.get(
             (case, form)
         ))
         for case in encoders.CASES for form in encoders.LAYOUTS
     },
     **{
-        f"{case} {kind}": Kind(
-            lambda c=case, a=accuracy, k=kind: correction.made(c, a, k),
-            lambda c=case: correction.fit_of(c), one(limit),
+        f"clipped {1e3 * accuracy:g} mrad": Kind(
+            lambda a=accuracy: correction.made("clipped", a), lambda: correction.fit_of("clipped"), one(182)
         )
-        for case, accuracy, kind, limit in (
-            ("clipped", 5e-3, "auto", 182), ("clipped", 1e-3, None, 182), ("meng angle", None, "table", 100)
-        )
+        for accuracy in (5e-3, 1e-3)
     },
     **{
         f"{case} q31": Kind(

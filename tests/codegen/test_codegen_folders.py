@@ -103,15 +103,12 @@ RECALIBRATED = {
     "slopes": (stage, {"gains": 1.001}, {"field": 8.0}, ["--jacobian"]),
     "integers": (stage, {"gains": 0.97, "others": 1.3}, {"field": 6.0}, ["--arithmetic", "q31"]),
     "table": (encoder, {"factor": 0.8}, {"factor": 30.0}, ["--accuracy", "angle_urad=100"]),
-    "waves": (
-        encoder, {"factor": 0.8}, {"factor": 30.0}, ["--accuracy", "angle_urad=500", "--correction", "series"]
-    ),
     "binary angles": (encoder, {"factor": 0.8}, {"factor": 30.0}, ["--arithmetic", "q31"]),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    "case", [pytest.param(c, marks=SLOW if c in ("double", "table", "waves", "binary angles") else ())
+    "case", [pytest.param(c, marks=SLOW if c in ("double", "table", "binary angles") else ())
              for c in RECALIBRATED]
 )  # fmt: skip
 def test_a_recalibration_replaces_the_parameters_alone(case, tmp_path, capsys):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from firmware import CASES, calibration, with_effect
 from msgspec import structs
-from test_codegen_correction import clipped
+from test_codegen_correction import clipped, curve
 from test_codegen_correction import fit_of as corrected
 from test_codegen_rotary import ELLIPSE, LAYOUTS, ROTARY, calibrated
 from twins import with_arrays
@@ -18,6 +18,7 @@ from waves import LENGTH, sums
 from waves import calibrated as wave
 
 from hallsym.codegen import generate
+from hallsym.codegen.lowering.correction import smallest_correction
 from hallsym.errors import InputError
 from hallsym.families import adapted, effects
 from hallsym.families.rotary import models as rotary
@@ -119,20 +120,18 @@ REFUSED = {
     "a negative accuracy": (
         lambda: generate(corrected("meng angle"), accuracy=-1.0), "must be a positive angle"
     ),
-    "an unknown correction": (
-        lambda: generate(corrected("meng angle"), correction="tables"), "did you mean 'table'"
+    "the code of another version": (
+        lambda: smallest_correction(curve("meng angle"), None, "series:6"), "--force"
     ),
     "rails that no table follows": (
         lambda: generate(clipped()), r"1024 entries; .* rad \(.* deg\) is within reach"
     ),
     "two rails at once": (lambda: generate(clipped(0.6), accuracy=0.01), "too large to be undone"),
-    "a series in integers": (q31("meng angle", correction="series"), "corrects an angle from a table"),
     "a range of binary angles": (q31("meng angle", ranges={"angle_rad": (0, 1)}), "every bit pattern"),
     "rails in integers": (q31("clipped"), "1024 entries; .* is within reach"),
     "no wave": (bent, r"differs from that by .* without that effect"),
     "too near": (lambda: generate(wave(gaps=(0.0, 0.01))), "too strong at the least gap"),
     "cosine alone": (lambda: generate(wave(sums(2, LENGTH / 2), {})), "do not tell cosine from sine"),
-    "a correction of a wave": (lambda: generate(wave(), correction="table"), "--correction belongs to"),
     "a wave in integers": (
         lambda: generate(wave(), arithmetic="q31"),
         "has its C in float, which runs without a floating-point unit too",

@@ -110,14 +110,6 @@ def test_no_magnet_and_a_broken_wire_have_bits_of_their_own(arithmetic):
     assert np.isfinite(pose).all()
 
 
-def test_the_series_is_as_long_as_it_must_be():
-    def waves(case, form):
-        return sum(e.name.startswith("cos_") for e in made(case, form).decoupler.table)
-
-    assert waves("ideal", "volts") == waves("ellipse", "volts") == 0  # the linear map does it all
-    assert 0 < waves("meng", "angle") < waves("harmonics", "volts") <= 32
-
-
 def test_a_reading_that_the_fit_took_with_another_sign_is_said():
     turned = (Correction("sign", ("angle_rad",)),)
     fit = calibrated(rotary.rotary(LAYOUTS["angle"]), ELLIPSE).changed(corrections=turned)

@@ -115,7 +115,7 @@ CODE: dict[str, tuple[str, tuple[str, ...]]] = {
     "rotary_volts": ("rotary_volts", ()),
     "rotary_angle": ("rotary_angle", ()),
     "rotary_angle_q31": ("rotary_angle", ("--arithmetic", "q31")),
-    "meng_angle_table": ("meng_angle", ("--correction", "table", "--accuracy", "angle_mrad=1")),
+    "meng_angle_table": ("meng_angle", ("--accuracy", "angle_mrad=1")),
 }
 """Folders of C by name: the calibration, and options of `codegen`."""
 FAST_CODE = {"stage31_q31", "rotary_angle"}

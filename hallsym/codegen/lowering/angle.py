@@ -1,16 +1,16 @@
 """Lowering of models of one angle: from two voltages or from the decoded angle to the corrected angle.
 
 Two voltages or more: the ellipse is undone by a linear map, the phase taken by an arctangent whose
-polynomial is proved (`lowering.odd_series`), and what is left corrected by a series of its waves or by a
-table. A decoded angle: the correction alone. Both wrap. The correction comes from the model by solving it
-over a turn (`lowering.phase_curve`, `lowering.correction`), so any effect that is a static function of the
-angle follows; for the circle and the ellipse it is empty.
+polynomial is proved (`lowering.odd_series`), and what is left corrected by a table. A
+decoded angle: the correction alone. Both wrap. The correction comes from the model by solving it over a turn
+(`lowering.phase_curve`, `lowering.correction`), so any effect that is a static function of the angle follows;
+for the circle and the ellipse it is empty.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, reduce
-from math import asin, hypot, pi, sqrt
+from math import asin, hypot, pi
 
 import casadi as ca
 import numpy as np
@@ -33,10 +33,10 @@ from hallsym.codegen.integer_c import UNIT, Compiler, Fixed, Program, planned
 from hallsym.codegen.intervals import Enclosure, constant, enclose, half_ulp
 from hallsym.codegen.lowering import correction as corrections
 from hallsym.codegen.lowering import odd_series
-from hallsym.codegen.lowering.correction import ROUNDED, SIZES, WORST, Grid, Series
-from hallsym.codegen.lowering.odd_series import ARCTANGENT, HALF_PI, PI, SINE, odd
+from hallsym.codegen.lowering.correction import ROUNDED, SIZES, WORST, Grid
+from hallsym.codegen.lowering.odd_series import ARCTANGENT, HALF_PI, PI, odd
 from hallsym.codegen.lowering.phase_curve import POINTS, Curve, check_static
-from hallsym.errors import InputError, counted
+from hallsym.errors import InputError
 from hallsym.log.phase import wrapped as within_turn
 from hallsym.model import Model
 from hallsym.units import si_symbol
@@ -52,8 +52,6 @@ CUT = 2 * pi * 2.0**-31
 """Phase [rad] that the last bit of a place in a table stands for."""
 NEIGHBOURS = ("before", "left", "right", "after")
 SIXTH = 1 / 6
-EVIDENT = 8
-"""Waves up to which Frama-C EVA sees by itself that their sum is small: its intervals grow with each."""
 
 
 def decoupler(
@@ -63,17 +61,18 @@ def decoupler(
     box: Box,
     *,
     accuracy: float | None = None,
-    correction: str = "auto",
+    correction: str | None = None,
 ) -> Decoupler:
     """Return the decoupler of an angle at parameters `p` over a box; `weight` does not matter.
 
-    `accuracy`: what the correction may leave [rad], default `ENOUGH`; `correction`: one of `KINDS`. The
-    corrected angle is that at which the model reads the measured phase, so a change of both amplitudes
-    alike, by temperature, leaves it alone. Raises `InputError` for readings that depend on anything else.
+    `accuracy`: what the correction may leave [rad], default `ENOUGH`; `correction`: the form of one that it
+    shall be like. The corrected angle is that at which the model reads the measured phase, so a change of
+    both amplitudes alike, by temperature, leaves it alone. Raises `InputError` for readings that depend on
+    anything else.
     """
     check_static(model, "the angle")
     curve = Curve(model, np.asarray(p, dtype=float))
-    made = _Assembly(curve, box, corrections.shortest_correction(curve, accuracy, correction)).make()
+    made = _Assembly(curve, box, corrections.smallest_correction(curve, accuracy, correction)).make()
     return replace(made, integers=lambda found, **options: program(found, curve, WEAK, **options))
 
 
@@ -81,7 +80,7 @@ def decoupler(
 class _Assembly(Collected):
     curve: Curve
     given: Box
-    correction: Series | Grid
+    correction: Grid
     arrays: list[Array] = field(default_factory=list)
     redundancy: Redundancy | None = None
 
@@ -104,7 +103,7 @@ class _Assembly(Collected):
         return self.finished(
             model, inputs, ends, flags=flags, approximation=self._left,
             exact=lambda given: self.curve.angle(self.curve.phase(given))[None] * share,
-            cut=CUT * share * self.correction.slope if isinstance(self.correction, Grid) else 0.0,
+            cut=CUT * share * self.correction.slope,
             bounded=Rounding(self.curve, self.correction, WEAK, [ends.ends[c] for c in inputs]),
             listed=self._listed(), redundancy=self.redundancy,
             drawn=residual.drawn_of(model, self.curve.p, self.given) if self.redundancy else None,
@@ -169,13 +168,11 @@ class _Assembly(Collected):
     def _finish(self, phase: ca.SX, zero: ca.SX) -> None:
         found = self.correction
         angle = phase
-        if found.constant or found.most:
+        if found.constant or found.looked_up:
             constant = self.entry("shift", found.constant, "rad", "correction, the same all round")
             angle = phase + constant
-        if isinstance(found, Grid):
+        if found.looked_up:
             angle = angle + self._looked_up(found, phase)
-        elif found.cos:
-            angle = angle + self._waves(found, phase)
         if self.curve.angle_only and angle is not phase:
             angle = self.step("turned", odd_series.wrapped(angle))
         if self.curve.share == 1.0:
@@ -230,35 +227,6 @@ class _Assembly(Collected):
             return self.step("correction", scale * self.step("between", between, about), "[rad]")
         return self.step("correction", between, about)
 
-    def _waves(self, series: Series, phase: ca.SX) -> ca.SX:
-        """Sum of the waves by Horner's rule for complex numbers, highest first."""
-        entries = []
-        for n, pair in enumerate(zip(series.cos, series.sin, strict=True), 1):
-            about = f"{counted(n, 'wave')} per turn of the correction"
-            cosine = self.entry(f"cos_{n}", pair[0], "rad", f"{about}, cosine")
-            entries.append((cosine, self.entry(f"sin_{n}", pair[1], "rad", f"{about}, sine")))
-        self.step("upright", HALF_PI - ca.fabs(phase), "[rad] angle from the other axis")
-        cos = self._of("upright", "cosine")
-        self.step("side", HALF_PI - ca.fabs(self.symbols["upright"]))
-        size = self._of("side", "size")
-        sin = self.step("sine", ca.if_else(phase < 0, -size, size))
-        a, b = entries[-1]
-        for n in range(len(entries) - 1, 0, -1):
-            c, s = entries[n - 1]
-            real = self.step(f"real_{n}", c + (cos * a + sin * b))
-            imaginary = self.step(f"imaginary_{n}", s + (cos * b - sin * a))
-            a, b = real, imaginary
-        if len(entries) <= EVIDENT:
-            return self.step("correction", cos * a + sin * b, "[rad] its waves")
-        waves = self.step("waves", cos * a + sin * b, "[rad] of the correction")
-        clamped = ca.if_else(waves < -1.0, -1.0, ca.if_else(waves > 1.0, 1.0, waves))
-        return self.step("correction", clamped, "they sum to less than 1 rad; said again for a prover")
-
-    def _of(self, argument: str, name: str) -> ca.SX:
-        x = self.symbols[argument]
-        square = self.step(f"{argument}_square", x * x)
-        return self.step(name, odd(SINE, x, square))
-
     # -- ranges and what is said --------------------------------------------------------------------------
 
     def _ends(self, channel: str) -> tuple[float, float]:
@@ -285,16 +253,7 @@ class _Assembly(Collected):
         """What the polynomials and the correction may leave in the angle [rad]."""
         found = self.correction
         arctangent = 0.0 if self.curve.angle_only else odd_series.arctangent_error() * (1 + found.slope)
-        sines = 0.0
-        if isinstance(found, Series):
-            # sine and cosine off by e change wave n by at most n e sqrt 2 (1 + e)^n
-            sines = (
-                odd_series.sine_error()
-                * 2**0.5
-                * found.slope
-                * (1 + 2 * odd_series.sine_error()) ** len(found.cos)
-            )
-        return float(arctangent + sines + found.left + ROUNDED) * self.curve.share
+        return float(arctangent + found.left + ROUNDED) * self.curve.share
 
     def _listed(self) -> tuple[tuple[float, ...], ...]:
         """No field, and the seams of the octants."""
@@ -311,22 +270,13 @@ class _Assembly(Collected):
                 f"The arctangent is a polynomial of degree {2 * len(ARCTANGENT) - 1}: off by at most "
                 f"{odd_series.arctangent_error():.2g} rad (proved)."
             )
-        if isinstance(found, Grid):
+        if found.looked_up:
             size = (2 if found.integers else 4) * len(found.values)
             between = "straight lines" if found.degree == 1 else "cubics"
             out.append(
                 f"The correction is a table of {len(found.values)} entries, {size} bytes, with {between} "
                 f"between them; it leaves at most {found.left:.2g} rad, the rounding of its entries counted "
                 "(proved)."
-            )
-        elif found.cos:
-            count = len(found.cos)
-            left = f"those left out sum to {found.left:.2g} rad"
-            if not found.summed:
-                left = f"it leaves at most {found.left:.2g} rad (proved)"
-            out.append(
-                f"The correction is a series of {count} waves per turn, {8 * count + 4} bytes of table; "
-                f"{left}."
             )
         elif found.left > 1e-12:
             out.append(f"No correction is needed for the accuracy asked: {found.left:.2g} rad are left.")
@@ -341,7 +291,7 @@ class Rounding:
     """Digits of the significand -> range and rounding of the angle, where the field is not weak."""
 
     curve: Curve
-    correction: Series | Grid
+    correction: Grid
     weak: float
     ends: Sequence[tuple[float, float]]
     """Least and greatest value of each input."""
@@ -353,7 +303,7 @@ class Rounding:
         phase = half_ulp(pi, digits) if self.curve.angle_only else self._vector(digits) + octants(digits)
         error = phase * (1 + found.slope)
         if found.most:
-            error += self._looked_up(found, digits) if isinstance(found, Grid) else self._waves(found, digits)
+            error += self._looked_up(found, digits)
             error += half_ulp(pi + abs(found.constant) + found.most, digits)
         if found.most or found.constant:
             error += u * abs(found.constant) + half_ulp(pi + abs(found.constant), digits)
@@ -391,17 +341,6 @@ class Rounding:
         moved += 2 * pi * 2.0**-31  # bits of a place that are cut off
         return moved * grid.slope + _between(grid, digits) + u * grid.most
 
-    def _waves(self, series: Series, digits: int) -> float:
-        """The complex Horner rule: |partial sums| <= sum of amplitudes, |exp(i phase)| <= 1 + its error."""
-        u = 2.0**-digits
-        sine = sqrt(2) * _sine(digits)
-        most = sum(series.waves) * (1 + 1e-5)
-        error = u * series.waves[-1]  # of the entries
-        for size in reversed([0.0, *series.waves[:-1]]):
-            # two products, their sum, the entry's own rounding and its addition, in two components
-            error = error * (1 + sine) + sine * most + sqrt(2) * u * (2 * most + most + size + size + most)
-        return float(error)
-
 
 def _between(grid: Grid, digits: int) -> float:
     """Rounding from entries and part of a cell to the correction; a part is exact, entries are as stored."""
@@ -430,17 +369,6 @@ def octants(digits: int) -> float:
     return float(quarter + constant(PI, digits).error + half_ulp(pi, digits))
 
 
-@cache
-def _sine(digits: int) -> float:
-    """Rounding of the sine polynomial at a rounded argument, which two differences from pi / 2 give."""
-    x, angle = ca.SX.sym("x"), ca.SX.sym("angle")
-    quarter = constant(HALF_PI, digits)
-    (once,) = enclose([x - angle], {"x": quarter, "angle": Enclosure(0.0, pi)}, digits)
-    (twice,) = enclose([x - angle], {"x": quarter, "angle": Enclosure(0.0, pi / 2, once.error)}, digits)
-    (found,) = enclose([odd(SINE, x, x * x)], {"x": Enclosure(-pi / 2, pi / 2, twice.error)}, digits)
-    return float(found.error)
-
-
 ENOUGH_OF_INTEGERS = 1e-5
 """Angle [rad] that a table of integers may leave unless another accuracy is asked for: 2 arc seconds."""
 
@@ -451,7 +379,7 @@ def program(
     weak: float,
     *,
     accuracy: float | None = None,
-    correction: str = "auto",
+    correction: str | None = None,
     plan: Sequence[int] | None = None,
 ) -> Program:
     """Return the integer program of an angle; `weak`: share of the amplitude below which a flag is set.
@@ -459,37 +387,28 @@ def program(
     `accuracy`: what the table may leave [rad], default `ENOUGH_OF_INTEGERS`, CORDIC a thirty-second of it;
     `correction`: as of `table_of`; `plan`: as of `integer_program`.
     """
-    if correction.startswith("series"):
-        raise InputError(
-            "--arithmetic q31 corrects an angle from a table, which takes fewer instructions than a series "
-            "without a floating-point unit: leave out --correction series."
-        )
     aim = ENOUGH_OF_INTEGERS if accuracy is None else accuracy
     table, steps = table_of(curve, aim, correction), integer_c.steps_for(aim)
     return planned(lambda given: _Turns(d, given, curve, weak, table, steps), plan)
 
 
-def table_of(curve: Curve, accuracy: float, kind: str) -> Grid | None:
+def table_of(curve: Curve, accuracy: float, form: str | None) -> Grid | None:
     """Return the smallest table of integers, lines between them, that leaves at most `accuracy` [rad].
 
-    In units of a power of two of 2^-32 turn. `kind`: "auto", "table", or the form of one that it shall be
-    like. None where the angle needs no more than a constant.
+    In units of a power of two of 2^-32 turn. `form`: that of one that it shall be like. None where the angle
+    needs no more than a constant.
     """
-    corrections.check(curve, accuracy, kind)
-    if ":" in kind:
-        _, entries, _, wide, *power = kind.split(":")
+    corrections.check(curve, accuracy, form)
+    if form is not None:
+        _, entries, _, wide, *power = form.split(":")
         made = _table(curve, int(entries), int(wide), *map(int, power))
-        return corrections.like(curve, accuracy, kind, made)
+        return corrections.like(curve, accuracy, form, made)
     if np.abs(curve.needed[1]).max() <= ROUNDED:
         return None
     forms = sorted((bits * n, bits, n, room) for n in SIZES for bits, room in ((16, -1), (16, 0), (32, 0)))
-    for _, bits, count, room in forms:  # room for twice the correction, where it is as near with it
-        found = _table(curve, count, bits, room=-room)
-        if corrections.sampled(curve, found) <= accuracy:
-            sure = replace(found, left=corrections.proved(curve, found, accuracy))
-            if sure.left <= accuracy:
-                return sure
-    raise InputError(corrections.out_of_reach(curve, accuracy, "table", [_table(curve, SIZES[-1], 32)]))
+    # room for twice the correction, where it is as near with it
+    tried = (_table(curve, count, bits, room=-room) for _, bits, count, room in forms)
+    return corrections.first_within(curve, accuracy, tried, [_table(curve, SIZES[-1], 32)])
 
 
 def _table(curve: Curve, count: int, bits: int, power: int | None = None, room: int = 0) -> Grid:

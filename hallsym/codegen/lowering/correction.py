@@ -1,17 +1,16 @@
-"""The correction of a phase: a short series of waves, or a table with lines or cubics between.
+"""The correction of a phase: a table with lines or cubics between its entries.
 
-Either is as long as it must be for an accuracy, and the one that takes fewer bytes is taken. What it leaves
-is proved from the model: over an interval of the angle a, with phase f(a) and correction t, the error
-E = f + t(f) - a moves by at most half the interval's width times the largest |f' (1 + t') - 1|, and f' is
-enclosed by interval arithmetic (`Curve.slopes`), kinks of a clipped voltage included.
+It has as many entries as an accuracy asks for. What it leaves is proved from the model: over an interval of
+the angle a, with phase f(a) and correction t, the error E = f + t(f) - a moves by at most half the interval's
+width times the largest |f' (1 + t') - 1|, and f' is enclosed by interval arithmetic (`Curve.slopes`), kinks
+of a clipped voltage included.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import degrees, pi
-from typing import TypeVar
 
 import numpy as np
 
@@ -22,17 +21,14 @@ from hallsym.log.phase import wrapped
 ENOUGH = 3e-8
 """Angle [rad] that a correction may leave unless another accuracy is asked for: a quarter of what float32
 rounds an angle near pi by."""
-MOST_WAVES = 32
 SIZES = (64, 128, 256, 512, 1024)
 """Entries of a table."""
-KINDS = ("auto", "series", "table")
 DEGREES = {"lines": 1, "cubics": 3}
+NONE = "none"
 FORM = re.compile(
-    rf"series:\d\d?|table:({'|'.join(map(str, SIZES))}):({'|'.join(DEGREES)}):(16|32)(:\d\d?)?", re.ASCII
+    rf"{NONE}|table:({'|'.join(map(str, SIZES))}):({'|'.join(DEGREES)}):(16|32)(:\d\d?)?", re.ASCII
 )
-"""A series of so many waves, or a table: entries, what is between them, bits of each, power of their unit."""
-SMOOTH = 1e-10
-"""Sum [rad] of the last quarter of the waves that are computed, below which the others are all there are."""
+"""A constant alone, or a table: entries, what is between them, bits of each, power of their unit."""
 COARSEST, FINEST = 1 << 12, 1 << 18
 """Intervals of a turn in a proof."""
 ROUNDED = 1e-13
@@ -40,61 +36,12 @@ WORST = 32767
 """Largest entry of a table of 16 bits."""
 
 
-@dataclass(frozen=True)
-class Series:
-    """constant + sum of cos_n cos(n phase) + sin_n sin(n phase) [rad]; `left`: what it leaves."""
-
-    constant: float
-    cos: tuple[float, ...]
-    sin: tuple[float, ...]
-    left: float = np.inf
-    summed: bool = False
-    """Whether `left` is the sum of the waves left out, not a bound over intervals."""
-
-    def at(self, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the correction (s,) [rad] and its derivative (s,) at phases (s,)."""
-        total, turning = np.full(np.shape(phase), self.constant, dtype=complex), np.exp(-1j * phase)
-        slope, wave = np.zeros(np.shape(phase), dtype=complex), np.ones(np.shape(phase), dtype=complex)
-        for n, (c, s) in enumerate(zip(self.cos, self.sin, strict=True), 1):
-            wave = wave * turning
-            total += (c + 1j * s) * wave
-            slope += -1j * n * (c + 1j * s) * wave
-        return total.real, slope.real
-
-    @property
-    def waves(self) -> Sequence[float]:
-        """Amplitude of each wave [rad]."""
-        return np.hypot(self.cos, self.sin).tolist()
-
-    @property
-    def slope(self) -> float:
-        """Bound of its derivative."""
-        return float(sum(n * size for n, size in enumerate(self.waves, 1)))
-
-    @property
-    def bend(self) -> float:
-        """Bound of its second derivative."""
-        return float(sum(n**2 * size for n, size in enumerate(self.waves, 1)))
-
-    @property
-    def form(self) -> str:
-        """What code depends on."""
-        return f"series:{len(self.cos)}"
-
-    @property
-    def most(self) -> float:
-        """Bound of its magnitude, without the constant."""
-        return float(sum(self.waves))
-
-    @property
-    def bytes(self) -> int:
-        """About how many bytes it takes, code and entries, on a Cortex-M4F."""
-        return 148 + 48 * len(self.cos) if self.cos else 0
-
-
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """constant + unit * values at phases -pi, -pi + h, ..., lines (degree 1) or cubics (3) between [rad]."""
+    """constant + unit * values at phases -pi, -pi + h, ..., lines (degree 1) or cubics (3) between [rad].
+
+    A value alone, of 0, is no table.
+    """
 
     constant: float
     values: np.ndarray
@@ -110,8 +57,15 @@ class Grid:
         return self.unit != 1.0
 
     @property
+    def looked_up(self) -> bool:
+        """Whether it is more than a constant."""
+        return len(self.values) > 1
+
+    @property
     def form(self) -> str:
         """What code depends on."""
+        if not self.looked_up:
+            return NONE
         between = next(name for name, degree in DEGREES.items() if degree == self.degree)
         return f"table:{len(self.values)}:{between}:{self.bits if self.integers else 32}"
 
@@ -158,47 +112,33 @@ class Grid:
         """Largest magnitude of an entry [rad]."""
         return float(np.abs(self.unit * self.values).max())
 
-    @property
-    def bytes(self) -> int:
-        """About how many bytes it takes, code and entries, on a Cortex-M4F."""
-        return table_bytes(len(self.values), self.degree, self.integers)
 
-
-Form = TypeVar("Form", Series, Grid)
-
-
-def shortest_correction(curve: Curve, accuracy: float | None = None, kind: str = "auto") -> Series | Grid:
+def smallest_correction(curve: Curve, accuracy: float | None = None, form: str | None = None) -> Grid:
     """Return the correction of fewest bytes that leaves at most `accuracy` [rad] (default `ENOUGH`).
 
-    `kind`: one of `KINDS`, or the `form` of a correction that shall be like it. Raises `InputError` where
-    none does, with what is within reach.
+    `form`: that of a correction that it shall be like. Raises `InputError` where none does, with what is
+    within reach.
     """
     aim = ENOUGH if accuracy is None else accuracy
-    check(curve, aim, kind)
-    if ":" in kind:
-        name, count, *rest = kind.split(":")
-        if name == "series":
-            return like(curve, aim, kind, _waves(curve, int(count)))
-        return like(curve, aim, kind, grid(curve, int(count), DEGREES[rest[0]], rest[1] == "16"))
-    series = _series(curve, aim) if kind != "table" else None
-    table = None
-    if kind != "series":
-        try:
-            table = _table(curve, aim, series.bytes if series else 1 << 16)
-        except InputError:  # nothing can be proved of a table: an operation whose range is not known
-            if series is None:
-                raise
-    found = table or series
-    if found is None:
-        raise InputError(out_of_reach(curve, aim, kind))
-    return found
+    check(curve, aim, form)
+    if form is not None:
+        _, *given = form.split(":")
+        return like(curve, aim, form, grid(curve, int(given[0]), DEGREES[given[1]], given[2] == "16")
+                    if given else _constant(curve))  # fmt: skip
+    forms = [(n, degree, integers) for n in SIZES for degree in (1, 3) for integers in (True, False)]
+    tables = (grid(curve, *form) for form in sorted(forms, key=lambda form: table_bytes(*form)))
+    longest = [grid(curve, SIZES[-1], degree, False) for degree in (1, 3)]
+    return first_within(curve, aim, (g for some in ([_constant(curve)], tables) for g in some), longest)
 
 
-def check(curve: Curve, aim: float, kind: str) -> None:
+def check(curve: Curve, aim: float, form: str | None) -> None:
     """Refuse what no correction is made for."""
-    known = kind in KINDS or FORM.fullmatch(kind)
-    require(known, "A correction", f"one of {', '.join(KINDS)}", kind, KINDS)
     require(0 < aim < np.inf, "The accuracy of a correction", "a positive angle in rad", aim)
+    if form is not None and not FORM.fullmatch(form):
+        raise InputError(
+            f"The code in the folder has a correction {form!r}, which is not made any more: generate the "
+            "folder again with --force."
+        )
     if np.abs(curve.needed[1]).max() >= 1.0:
         raise InputError(
             f"The distortion of this calibration of {curve.model.name} is more than 1 rad; no correction "
@@ -206,7 +146,26 @@ def check(curve: Curve, aim: float, kind: str) -> None:
         )
 
 
-def like(curve: Curve, aim: float, form: str, made: Form) -> Form:
+def first_within(curve: Curve, aim: float, tried: Iterable[Grid], longest: Iterable[Grid]) -> Grid:
+    """Return the first of some corrections that leaves at most `aim` [rad], which is proved of it.
+
+    Raises `InputError` with what the `longest` ones leave where none does.
+    """
+    for made in tried:
+        if sampled(curve, made) <= aim:
+            sure = replace(made, left=proved(curve, made, aim))
+            if sure.left <= aim:
+                return sure
+    best = 1.01 * min(proved(curve, made, 1.05 * sampled(curve, made)) for made in longest)
+    instead = " and ".join(curve.model.effects) or "so large a distortion"
+    raise InputError(
+        f"A correction of this calibration of {curve.model.name} that leaves at most {aim:.3g} rad takes a "
+        f"table of more than {SIZES[-1]} entries; {best:.2g} rad ({degrees(best):.2g} deg) is within reach: "
+        f"give --accuracy angle_rad={best:.2g}, or fit a model without {instead}."
+    )
+
+
+def like(curve: Curve, aim: float, form: str, made: Grid) -> Grid:
     """Return a correction of a given form with what it leaves, or refuse it."""
     sure = replace(made, left=proved(curve, made, max(aim, 1.05 * sampled(curve, made))))
     if made.most >= 1.0 or sure.left > aim:
@@ -217,11 +176,14 @@ def like(curve: Curve, aim: float, form: str, made: Form) -> Form:
     return sure
 
 
-def proved(curve: Curve, found: Series | Grid, accuracy: float) -> float:
+def proved(curve: Curve, found: Grid, accuracy: float) -> float:
     """Return a bound of |angle - phase - correction| [rad] over all phases that the model reads.
 
-    In finer intervals while it is beyond `accuracy`.
+    In finer intervals while it is beyond `accuracy`. Where the phase is the angle but for rounding at all of
+    `Curve.turn`, what a constant leaves is that rounding: waves of more than `POINTS` / 2 a turn are none.
     """
+    if not found.looked_up and np.abs(curve.needed[1]).max() <= ROUNDED:
+        return float(np.abs(curve.needed[1]).max())
     count, bound = COARSEST, np.inf
     while count <= FINEST and not bound <= accuracy:
         if 40 / count < np.sqrt(accuracy) or count == FINEST:  # coarser ones would add as much
@@ -230,7 +192,7 @@ def proved(curve: Curve, found: Series | Grid, accuracy: float) -> float:
     return bound
 
 
-def _bounded(curve: Curve, found: Series | Grid, count: int) -> float:
+def _bounded(curve: Curve, found: Grid, count: int) -> float:
     low, high, angle, phase = curve.slopes(count)
     width, moved = 2 * pi / count, np.diff(phase)
     if (moved < low * width - ROUNDED).any() or (moved > high * width + ROUNDED).any():
@@ -244,50 +206,10 @@ def _bounded(curve: Curve, found: Series | Grid, count: int) -> float:
     return float((np.maximum(error[:-1], error[1:]) + width / 2 * steepest).max() + ROUNDED)
 
 
-def _series(curve: Curve, accuracy: float) -> Series | None:
-    """Return the shortest series that is as near, if there is one."""
-    size = np.abs(curve.waves[1])
-    left = np.append(np.cumsum(size[::-1])[::-1], 0.0)  # left[k]: waves k + 1 and up
-    smooth = size[3 * len(size) // 4 :].sum() <= SMOOTH
-    for count in range(0, MOST_WAVES + 2, 2):
-        made = _waves(curve, count)
-        if made.most >= 1.0:
-            break
-        if smooth and left[count] <= accuracy:
-            return replace(made, left=float(left[count]), summed=True)
-        if (not smooth or accuracy > 10 * ENOUGH) and sampled(curve, made) <= accuracy:
-            bound = proved(curve, made, accuracy)
-            if bound <= accuracy:
-                return replace(made, left=bound)
-    return None
-
-
-def _waves(curve: Curve, count: int) -> Series:
-    mean, waves = curve.waves
-    kept, constant = waves[:count], float(wrapped(np.array(mean), 2 * pi))
-    if not count and abs(constant) <= 1e-12:
-        constant = 0.0
-    return Series(constant, tuple(kept.real.tolist()), tuple((-kept.imag).tolist()))
-
-
-def sampled(curve: Curve, found: Series | Grid) -> float:
+def sampled(curve: Curve, found: Grid) -> float:
     """Return the largest error at some angles: what is worth a proof."""
     angle, phase = curve.trial
     return float(np.abs(wrapped(phase + found.at(phase)[0] - angle, 2 * pi)).max())
-
-
-def _table(curve: Curve, accuracy: float, below: int) -> Grid | None:
-    """Return the table of fewest bytes that is as near, if one has fewer than `below`."""
-    forms = [(n, degree, integers) for n in SIZES for degree in (1, 3) for integers in (True, False)]
-    for form in sorted(forms, key=lambda form: table_bytes(*form)):
-        if table_bytes(*form) >= below:
-            break
-        made = grid(curve, *form)
-        if sampled(curve, made) <= accuracy:
-            sure = replace(made, left=proved(curve, made, accuracy))
-            if sure.left <= accuracy:
-                return sure
-    return None
 
 
 def table_bytes(count: int, degree: int, integers: bool) -> int:
@@ -304,19 +226,6 @@ def grid(curve: Curve, count: int, degree: int, integers: bool) -> Grid:
     return Grid(float(wrapped(np.array(middle), 2 * pi)), np.clip(values, -WORST, WORST), unit, degree)
 
 
-def out_of_reach(curve: Curve, accuracy: float, kind: str, longest: Sequence[Series | Grid] = ()) -> str:
-    """Return the sentence that says so, with what is within reach; `longest`: what was tried last."""
-    waves, entries = f"more than {MOST_WAVES} waves per turn", f"a table of more than {SIZES[-1]} entries"
-    tried = {"series": [waves], "table": [entries]}.get(kind, [waves, entries])
-    if kind == "series":
-        longest = [_waves(curve, MOST_WAVES)]
-    elif not longest:
-        longest = [grid(curve, SIZES[-1], degree, False) for degree in (1, 3)]
-    reach = [proved(curve, form, 1.05 * sampled(curve, form)) for form in longest]
-    best = float(f"{1.01 * min(reach):.2g}")
-    instead = " and ".join(curve.model.effects) or "so large a distortion"
-    return (
-        f"A correction of this calibration of {curve.model.name} that leaves at most {accuracy:.3g} rad "
-        f"takes {' and '.join(tried)}; {best:.2g} rad ({degrees(best):.2g} deg) is within reach: give "
-        f"--accuracy angle_rad={best:.2g}, or fit a model without {instead}."
-    )
+def _constant(curve: Curve) -> Grid:
+    constant = float(wrapped(np.array(curve.needed[0]), 2 * pi))
+    return Grid(constant if abs(constant) > ROUNDED else 0.0, np.zeros(1), 1.0, 1)

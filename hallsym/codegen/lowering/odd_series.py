@@ -1,6 +1,6 @@
-"""Odd polynomials with a proved bound in place of functions: arctangent, sine, logarithm; angles that wrap.
+"""Odd polynomials with a proved bound in place of functions: arctangent, logarithm; angles that wrap.
 
-Coefficients are float32 numbers, so the same polynomial is computed in float and in double. Two are fixed,
+Coefficients are float32 numbers, so the same polynomial is computed in float and in double. One is fixed,
 found by Remez' exchange and rounded one by one; the others are the shortest for an accuracy. ln(s / m) =
 2 artanh t, t = (s - m) / (s + m): one division, no comparison and no bits of the number. What a polynomial
 leaves is not taken on trust: `largest` bounds it from its coefficients, on a grid and between its points.
@@ -20,8 +20,6 @@ ARCTANGENT = (
 )  # fmt: skip
 """atan q = q (a0 + a1 q^2 + ...) for 0 <= q <= 1, degree 15: off by 6.7e-8 rad, half of what float32 rounds
 an angle near pi by (1.2e-7 rad); degree 13 would leave 2.5e-7 rad."""
-SINE = (1.0, -0.166666478, 0.00833289977, -0.000198008973, 2.59048852e-06)
-"""sin t = t (a0 + a1 t^2 + ...) for |t| <= pi / 2, degree 9: off by 3.4e-8."""
 TURN_HIGH = float(np.float32(2 * pi))
 TURN_LOW = 2 * pi - TURN_HIGH
 """2 pi in two parts: x - TURN_HIGH is exact in float32 for pi <= x <= 4 pi (Sterbenz): one rounding."""
@@ -41,12 +39,6 @@ def odd(coefficients: Sequence[float], x: ca.SX, square: ca.SX) -> ca.SX:
 def arctangent_error() -> float:
     """Return the bound of |polynomial - atan q| [rad] over 0 <= q <= 1."""
     return largest(ARCTANGENT, np.arctan, 1.0)
-
-
-@cache
-def sine_error() -> float:
-    """Return the bound of |polynomial - sin t| over |t| <= pi / 2."""
-    return largest(SINE, np.sin, pi / 2)
 
 
 def largest(

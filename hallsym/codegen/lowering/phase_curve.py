@@ -4,8 +4,8 @@ Angles are those of a period as a turn (`Curve.share`): of an encoder that repea
 mechanical angle. For two or more voltages the phase is that of the linear map which brings the model's curve
 nearest to the unit circle: the ellipse of offsets, amplitudes and phase is undone by it. For a decoded angle
 the phase is the reading. What is left, angle - phase, is periodic whatever caused it (a quadratic plate,
-harmonics of the magnet, an axis that is off, a rail): `hallsym.codegen.lowering.correction` makes a series or
-a table of it.
+harmonics of the magnet, an axis that is off, a rail): `hallsym.codegen.lowering.correction` makes a table
+of it.
 """
 
 from collections.abc import Callable
@@ -172,14 +172,6 @@ class Curve:
         angles, phases = self._grown
         middle = float((angles - phases).max() + (angles - phases).min()) / 2
         return middle, np.asarray(wrapped(self.angle(self.turn) - self.turn - middle, 2 * pi))
-
-    @cached_property
-    def waves(self) -> tuple[float, np.ndarray]:
-        """Mean of the correction [rad], and its waves c_n - i s_n from the first on."""
-        middle, rest = self.needed
-        found = np.fft.rfft(rest) / POINTS
-        n = np.arange(len(found))
-        return middle + float(found[0].real), (2 * found * np.exp(1j * n * pi))[1:]  # the grid begins at -pi
 
     @cached_property
     def trial(self) -> tuple[np.ndarray, np.ndarray]:
