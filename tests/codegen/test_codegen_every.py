@@ -110,7 +110,10 @@ EVERY = {
         f"{case} {form}": encoder(case, form, {("ellipse", "volts"): 130, ("meng", "angle"): 100}.get(
             (case, form)
         ))
-        for case in encoders.CASES for form in encoders.LAYOUTS
+        for form, cases in {
+            "volts": ("ellipse", "meng", "harmonics"), "angle": ("ideal", "meng", "eccentric")
+        }.items()
+        for case in cases  # each kind of code: no table, entries of 16 or 32 bits, of either form
     },
     **{
         f"clipped {1e3 * accuracy:g} mrad": Kind(
@@ -206,6 +209,18 @@ def test_the_rounding_of_iterations_is_bounded_near_what_is_met_at_corners_of_th
     bound = np.array(list(code.bounds.error.values()))
     assert (off <= bound).all()
     assert (bound < 10 * off).all()
+
+
+@pytest.mark.parametrize("name", ["ellipse volts", "three sums"])
+def test_readings_reversed_about_their_centers_are_a_pose_half_a_period_away_and_the_header_says_so(name):
+    code, at = EVERY[name].made(), poses_of(name, 300)
+    backend, d, inputs = code.backend, code.decoupler, inputs_of(name, at)
+    center = np.array(d.listed[0])[:, None]  # no field
+    found, status = backend.step(numbers_of(backend, 2 * center - inputs)[0])
+    assert not status.any()
+    off = np.abs(d.difference(si(backend, found), at))[0]
+    assert np.allclose(off, d.model.period[d.pose[0]] / 2, rtol=1e-4)
+    assert "All readings reversed about their centers" in code.files["decoupler.h"]
 
 
 ZEROS = ("exact_rotation", "ellipse volts", "three sums", "meng angle q31")

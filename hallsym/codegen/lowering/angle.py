@@ -7,7 +7,7 @@ decoded angle: the correction alone. Both wrap. The correction comes from the mo
 for the circle and the ellipse it is empty.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, reduce
 from math import asin, hypot, pi
@@ -34,8 +34,9 @@ from hallsym.codegen.intervals import Enclosure, constant, enclose, half_ulp
 from hallsym.codegen.lowering import correction as corrections
 from hallsym.codegen.lowering import odd_series
 from hallsym.codegen.lowering.correction import ROUNDED, SIZES, WORST, Grid
-from hallsym.codegen.lowering.odd_series import ARCTANGENT, HALF_PI, PI, odd
+from hallsym.codegen.lowering.odd_series import HALF_PI, PI, Odd, odd, shortest
 from hallsym.codegen.lowering.phase_curve import POINTS, Curve, check_static
+from hallsym.codegen.lowering.wave_steps import REVERSED, TINY
 from hallsym.errors import InputError
 from hallsym.log.phase import wrapped as within_turn
 from hallsym.model import Model
@@ -46,11 +47,10 @@ WEAK = 0.5
 """Share of its calibrated amplitude below which the field is reported as too weak."""
 ROOM = 0.1
 """Share of its swing by which a voltage may leave what the model gives over the box: noise, temperature."""
-TINY = 1e-30
-"""Added to a divisor that may be zero; lost in rounding where it is not."""
 CUT = 2 * pi * 2.0**-31
 """Phase [rad] that the last bit of a place in a table stands for."""
-NEIGHBOURS = ("before", "left", "right", "after")
+OCTANT = 7e-8
+"""Angle [rad] that the arctangent may be off by: half of what float32 rounds an angle near pi by."""
 SIXTH = 1 / 6
 
 
@@ -74,6 +74,13 @@ def decoupler(
     curve = Curve(model, np.asarray(p, dtype=float))
     made = _Assembly(curve, box, corrections.smallest_correction(curve, accuracy, correction)).make()
     return replace(made, integers=lambda found, **options: program(found, curve, WEAK, **options))
+
+
+def arctangent() -> Odd:
+    """Return the polynomial of the arctangent of 0 to 1."""
+    found = shortest("atan", 1.0, OCTANT)
+    assert found is not None  # it does not depend on a calibration
+    return found
 
 
 @dataclass(eq=False)
@@ -159,7 +166,9 @@ class _Assembly(Collected):
         )
         ratio = self.step("ratio", ca.if_else(share < 1.0, share, 1.0), "[1] tangent in the first octant")
         square = self.step("square", ratio * ratio)
-        octant = self.step("octant", odd(ARCTANGENT, ratio, square), "[rad] its angle, a polynomial")
+        octant = self.step(
+            "octant", odd(arctangent().coefficients, ratio, square), "[rad] its angle, a polynomial"
+        )
         none = ca.SX(0.0)
         quarter = self.step("quarter", ca.fabs(ca.if_else(flat, none, HALF_PI) - octant))
         half = self.step("half", ca.fabs(ca.if_else(x < 0, PI, none) - quarter))
@@ -207,21 +216,8 @@ class _Assembly(Collected):
         rest = self.add(Bits("rest", spot, "", fine, True))
         part = self.step("part", rest * 2.0**-fine)
 
-        def entry(name: str, ahead: int) -> ca.SX:
-            return self.add(Lookup(name, cell, "", array, ahead))
-
-        if grid.degree == 1:
-            left, right = entry("left", 0), entry("right", 1)
-            between = left + part * (right - left)
-        else:
-            before, left, right, after = (entry(n, k) for k, n in enumerate(NEIGHBOURS, -1))
-            rise = self.step("rise", right - left)
-            bend_left = self.step("bend_left", (before - left) + rise)
-            bend_right = self.step("bend_right", (after - right) - rise)
-            bends = (2.0 - part) * bend_left + (1.0 + part) * bend_right
-            share = self.step("share_of_bends", (1.0 - part) * SIXTH)
-            self.step("bends", bends)
-            between = left + part * (rise - share * self.symbols["bends"])
+        entries = [self.add(Lookup(n, cell, "", array, k)) for n, k in _neighbours(grid.degree).items()]
+        between = _between(part, entries, self.step)
         about = f"[{unit}] {'a line' if grid.degree == 1 else 'a cubic'} between entries"
         if grid.integers:
             return self.step("correction", scale * self.step("between", between, about), "[rad]")
@@ -252,8 +248,8 @@ class _Assembly(Collected):
     def _left(self) -> float:
         """What the polynomials and the correction may leave in the angle [rad]."""
         found = self.correction
-        arctangent = 0.0 if self.curve.angle_only else odd_series.arctangent_error() * (1 + found.slope)
-        return float(arctangent + found.left + ROUNDED) * self.curve.share
+        octants = 0.0 if self.curve.angle_only else arctangent().error * (1 + found.slope)
+        return float(octants + found.left + ROUNDED) * self.curve.share
 
     def _listed(self) -> tuple[tuple[float, ...], ...]:
         """No field, and the seams of the octants."""
@@ -267,9 +263,10 @@ class _Assembly(Collected):
         found, out = self.correction, []
         if not self.curve.angle_only:
             out.append(
-                f"The arctangent is a polynomial of degree {2 * len(ARCTANGENT) - 1}: off by at most "
-                f"{odd_series.arctangent_error():.2g} rad (proved)."
+                f"The arctangent is a polynomial of degree {arctangent().degree}: off by at most "
+                f"{arctangent().error:.2g} rad (proved)."
             )
+            out.append(f"{REVERSED}: no bit is raised.")
         if found.looked_up:
             size = (2 if found.integers else 4) * len(found.values)
             between = "straight lines" if found.degree == 1 else "cubics"
@@ -339,21 +336,39 @@ class Rounding:
         moved = constant(PI, digits).error + half_ulp(2 * pi, digits)
         moved += (constant(scale, digits).error * 2 * pi + half_ulp(count, digits)) / scale
         moved += 2 * pi * 2.0**-31  # bits of a place that are cut off
-        return moved * grid.slope + _between(grid, digits) + u * grid.most
+        return moved * grid.slope + _rounding_between(grid, digits) + u * grid.most
 
 
-def _between(grid: Grid, digits: int) -> float:
+def _neighbours(degree: int) -> dict[str, int]:
+    """Return the entries that a line or a cubic goes through: how far they are ahead of the cell, by name."""
+    return {"left": 0, "right": 1} if degree == 1 else {"before": -1, "left": 0, "right": 1, "after": 2}
+
+
+def _between(part: ca.SX, entries: Sequence[ca.SX], step: Callable[[str, ca.SX], ca.SX]) -> ca.SX:
+    """Return the line or the cubic through entries, `part` of the way between the middle two.
+
+    `step`: names a part of it.
+    """
+    if len(entries) == 2:
+        left, right = entries
+        return left + part * (right - left)
+    before, left, right, after = entries
+    rise = step("rise", right - left)
+    bend_left = step("bend_left", (before - left) + rise)
+    bend_right = step("bend_right", (after - right) - rise)
+    share = step("share_of_bends", (1.0 - part) * SIXTH)
+    bends = step("bends", (2.0 - part) * bend_left + (1.0 + part) * bend_right)
+    return left + part * (rise - share * bends)
+
+
+def _rounding_between(grid: Grid, digits: int) -> float:
     """Rounding from entries and part of a cell to the correction; a part is exact, entries are as stored."""
-    part, left, right, before, after = (ca.SX.sym(n) for n in ("part", "left", "right", "before", "after"))
-    line = left + part * (right - left)
-    if grid.degree == 3:
-        rise = right - left
-        bends = (2.0 - part) * ((before - left) + rise) + (1.0 + part) * ((after - right) - rise)
-        line = left + part * (rise - (1.0 - part) * (1 / 6) * bends)
+    names = ["part", *_neighbours(grid.degree)]
+    part, *entries = map(ca.SX.sym, names)
     scale = constant(grid.unit, digits) if grid.integers else Enclosure(1.0, 1.0)
     most = float(np.abs(grid.values).max())
-    given = dict.fromkeys(("left", "right", "before", "after"), Enclosure(-most, most))
-    (found,) = enclose([line], {"part": Enclosure(0.0, 1.0), **given}, digits)
+    given = dict.fromkeys(names, Enclosure(-most, most)) | {"part": Enclosure(0.0, 1.0)}
+    (found,) = enclose([_between(part, entries, lambda _, value: value)], given, digits)
     return float(found.error * grid.unit + most * scale.error + 2.0**-digits * grid.most * 2)
 
 
@@ -363,7 +378,7 @@ def octants(digits: int) -> float:
     ratio, u = ca.SX.sym("ratio"), 2.0**-digits
     ends = np.linspace(0.0, 1.0, CELLS + 1)
     cells = Enclosure(ends[:-1], ends[1:], 2 * u * ends[1:])
-    (octant,) = enclose([odd(ARCTANGENT, ratio, ratio * ratio)], {"ratio": cells}, digits)
+    (octant,) = enclose([odd(arctangent().coefficients, ratio, ratio * ratio)], {"ratio": cells}, digits)
     first = octant.error.max()
     quarter = first + constant(HALF_PI, digits).error + half_ulp(pi / 2, digits)
     return float(quarter + constant(PI, digits).error + half_ulp(pi, digits))
@@ -507,6 +522,7 @@ class _Turns(Compiler):
         length = np.sqrt(max(self.weak**2 - field.error - field.unit, 1e-9))
         moved = asin(min(1.0, hypot(x.error, y.error) / (length - hypot(x.error, y.error))))
         cordic = integer_c.angle_error(length * 2.0**e, self.steps)
+        p.said.append(f"{REVERSED}: no bit is raised.")
         p.said.append(
             f"The angle comes from {self.steps} steps of CORDIC, a loop of fixed length: off by at most "
             f"{cordic:.2g} rad where the field is not weak (proved)."

@@ -576,12 +576,7 @@ class Assembly:
     def _ends(self) -> Box:
         """Ranges of readings over poses of the box, and of what says the period."""
         found = self.found
-        _, seen = found.trials(4, 4000)
-        ends = {}
-        for c, row in zip(found.model.channels, seen, strict=True):
-            middle, swing = (row.max() + row.min()) / 2, (row.max() - row.min()) / 2
-            end = float(f"{abs(middle) + swing * (1 + wave_steps.SWING):.3g}")
-            ends[c] = self.given.ends.get(c, (-end, end))
+        ends = wave_steps.ranges(found.model.channels, found.trials(4, 4000)[1], self.given)
         for c in self.nears:
             axis = 0 if short(found.model.pose[0]) == c.removesuffix("_near_m") else 1
             most = float(np.abs(found.middle[axis]) + found.half[axis] + NEAR * found.wave_of(axis))
@@ -619,6 +614,7 @@ class Assembly:
         return (
             f"Arrays: {sizes}. Six coordinates by weighted least squares of their places and heights, "
             f"{counted(turning, 'term')} of tilt and {counted(bends, 'product')} of coordinates.",
+            f"{wave_steps.REVERSED}: no bit is raised.",
             *wave_steps.measured(wave_steps.AGAINST, leaves, TRIALS),
         )
 

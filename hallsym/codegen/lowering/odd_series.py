@@ -1,9 +1,9 @@
 """Odd polynomials with a proved bound in place of functions: arctangent, logarithm; angles that wrap.
 
-Coefficients are float32 numbers, so the same polynomial is computed in float and in double. One is fixed,
-found by Remez' exchange and rounded one by one; the others are the shortest for an accuracy. ln(s / m) =
-2 artanh t, t = (s - m) / (s + m): one division, no comparison and no bits of the number. What a polynomial
-leaves is not taken on trust: `largest` bounds it from its coefficients, on a grid and between its points.
+Coefficients are float32 numbers, so the same polynomial is computed in float and in double; it is the
+shortest for an accuracy. ln(s / m) = 2 artanh t, t = (s - m) / (s + m): one division, no comparison and no
+bits of the number. What a polynomial leaves is not taken on trust: `largest` bounds it from its coefficients,
+on a grid and between its points.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,12 +14,6 @@ from math import pi
 import casadi as ca
 import numpy as np
 
-ARCTANGENT = (
-    0.999999344, -0.333298594, 0.199465662, -0.139086291, 0.0964219719, -0.055912327, 0.0218629576,
-    -0.00405456731,
-)  # fmt: skip
-"""atan q = q (a0 + a1 q^2 + ...) for 0 <= q <= 1, degree 15: off by 6.7e-8 rad, half of what float32 rounds
-an angle near pi by (1.2e-7 rad); degree 13 would leave 2.5e-7 rad."""
 TURN_HIGH = float(np.float32(2 * pi))
 TURN_LOW = 2 * pi - TURN_HIGH
 """2 pi in two parts: x - TURN_HIGH is exact in float32 for pi <= x <= 4 pi (Sterbenz): one rounding."""
@@ -33,12 +27,6 @@ def odd(coefficients: Sequence[float], x: ca.SX, square: ca.SX) -> ca.SX:
     for a in reversed(coefficients[:-1]):
         total = total * square + _single(a)
     return x * total
-
-
-@cache
-def arctangent_error() -> float:
-    """Return the bound of |polynomial - atan q| [rad] over 0 <= q <= 1."""
-    return largest(ARCTANGENT, np.arctan, 1.0)
 
 
 def largest(

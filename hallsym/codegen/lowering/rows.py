@@ -573,6 +573,7 @@ class _Assembly(Assembly):
             else "What says the period, x_near_m and y_near_m where they are inputs, is the position so far "
             f"or the commanded one, within {1e3 * NEAR * found.wavelength:.2g} mm: it chooses the period and "
             "nothing else.",
+            f"{wave_steps.REVERSED}, or nearly: in many places no bit is raised.",
             *wave_steps.measured("It", leaves, TRIALS, " of the poses of the model"),
         )
 

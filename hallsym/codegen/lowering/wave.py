@@ -29,7 +29,7 @@ from hallsym.codegen.decoupler import (
 from hallsym.codegen.intervals import Enclosure, constant, half_ulp
 from hallsym.codegen.lowering import arrays, rows, wave_steps
 from hallsym.codegen.lowering.phase_curve import check_static
-from hallsym.codegen.lowering.phasors import Phasor, phasor
+from hallsym.codegen.lowering.phasors import phasor
 from hallsym.codegen.lowering.remainders import Seen, contradictions
 from hallsym.codegen.lowering.wave_steps import Pair, Wave
 from hallsym.errors import InputError, counted
@@ -84,21 +84,6 @@ def _coordinates(model: Model) -> tuple[str, str]:
     return along[0], height[0]
 
 
-def readings_of(found: Phasor, place: float, height: float) -> np.ndarray:
-    """Return readings (n,) at a place and a height."""
-    u = found.size(height) * np.exp(1j * place / found.lc)
-    powers = u ** np.arange(1, found.factor.shape[1] + 1)
-    return np.asarray(found.offset + (found.factor * powers).real.sum(axis=1))
-
-
-def ends_of(found: Phasor, k: int, heights: tuple[float, float]) -> tuple[float, float]:
-    """Return the range of a reading, both ends alike: what the model gives over heights, and some room."""
-    most = max(found.size(z) for z in heights)
-    swing = float((np.abs(found.factor[k]) * most ** np.arange(1, found.factor.shape[1] + 1)).sum())
-    end = float(f"{swing * (1 + wave_steps.SWING) + abs(float(found.offset[k])):.3g}")
-    return -end, end
-
-
 @dataclass(eq=False)
 class _Assembly:
     model: Model
@@ -115,10 +100,8 @@ class _Assembly:
         model, wave, made = self.model, self.wave, self.made
         found, inputs = wave.phasor, model.channels
         made.begin(model, inputs)
-        heights = self.given.ends[self.height]
-        ends = self.given.over(
-            {c: self.given.ends.get(c, ends_of(found, k, heights)) for k, c in enumerate(inputs)}
-        )
+        seen = self.drawn(np.random.default_rng(4), TRIALS)
+        ends = self.given.over(wave_steps.ranges(inputs, seen, self.given))
         vector = wave_steps.phasor_steps(made, wave, {short(c): made.symbols[c] for c in inputs})
         to_vector = tuple(made.steps)
         redundancy = self._redundancy(vector)
@@ -177,26 +160,24 @@ class _Assembly:
         found, model = self.wave.phasor, self.model
         if not model.nearly:
             return {}
-        at = self.at(np.random.default_rng(13), TRIALS)
-        place, height = found.pose(found.solved(on_arrays(model.reading)(self.p, [], list(at), [])[0]))
-        off = np.array([place if c == self.along else height for c in model.pose]) - at
+        low, high = np.array([self.given.ends[c] for c in model.pose]).T[..., None]
+        at = low + (high - low) * np.random.default_rng(13).random((len(low), TRIALS))
+        off = self._exact(self._read(at)) - at
         k, whole = model.pose.index(self.along), 2 * pi * found.lc
         off[k] -= whole * np.round(off[k] / whole)
         own = found.lc * self.wave.error + ROUNDED
         return named(model.pose, wave_steps.SAFE * np.abs(off).max(axis=1) + own)
 
-    def at(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """Return random poses (n_pose, count) of the box."""
-        low, high = np.array([self.given.ends[c] for c in self.model.pose]).T[..., None]
-        return np.asarray(low + (high - low) * rng.random((len(self.model.pose), count)))
+    def _read(self, at: np.ndarray) -> np.ndarray:
+        return np.asarray(on_arrays(self.model.reading)(self.p, [], list(at), [])[0])
 
     def _listed(self) -> tuple[tuple[float, ...], ...]:
         """No field, the seams of the quadrants and of the period, and both ends of the heights."""
         found = self.wave.phasor
-        out = [found.offset.tolist()]
-        out += [readings_of(found, k * pi * found.lc / 4, found.middle).tolist() for k in range(-4, 5)]
-        out += [readings_of(found, 0.1 * found.lc, z).tolist() for z in self.given.ends[self.height]]
-        return tuple(map(tuple, out))
+        place = np.append(np.arange(-4, 5) * pi / 4, [0.1, 0.1]) * found.lc
+        height = np.append(np.full(9, found.middle), self.given.ends[self.height])
+        seen = self._read(np.array([place if c == self.along else height for c in self.model.pose]))
+        return tuple(map(tuple, [found.offset.tolist(), *seen.T.tolist()]))
 
     def _said(self) -> tuple[str, ...]:
         wave, lc = self.wave, self.wave.phasor.lc
@@ -213,6 +194,7 @@ class _Assembly:
                 f"{counted(wave.rounds, 'round')}{along} take harmonics {names} off, and leave at most "
                 f"{wave.left * lc:.2g} m (proved)."
             )
+        out.append(f"{wave_steps.REVERSED}: no bit is raised.")
         if self.leaves:
             out += wave_steps.measured("What ends and sides of the array do", self.leaves, TRIALS)
         return tuple(out)

@@ -14,7 +14,7 @@ from math import asin, ceil, hypot, log, pi, tanh
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.decoupler import Collected, Step, Values, unit
+from hallsym.codegen.decoupler import Box, Collected, Step, Values, unit
 from hallsym.codegen.intervals import Enclosure, constant, enclose, half_ulp
 from hallsym.codegen.lowering.odd_series import PI, Odd, odd, shortest
 from hallsym.codegen.lowering.phasors import Phasor
@@ -45,6 +45,11 @@ SAFE = 1.5
 """What errors met over trial poses are multiplied by where they are stated."""
 AGAINST = "Against least squares over all readings, converged, in double it"
 FIELD = "field beyond the calibrated heights: too near, too far, or no array"
+REVERSED = (
+    "All readings reversed about their centers (a supply exchanged, a magnet the other way round) are those "
+    "of a pose half a period away"
+)
+"""What is said of a fault that a decoder of what repeats takes for a pose."""
 FIFTH = 5
 """The harmonic that square magnets have most of, which has a shorter form where it is alone."""
 
@@ -171,6 +176,13 @@ def measured(met: str, leaves: Mapping[str, float], trials: int, of: str = "") -
         "(measured, not proved for every pose).",
         "Only readings of a pose in the box have that error: others give a finite pose, mostly a flag.",
     )
+
+
+def ranges(channels: Sequence[str], seen: np.ndarray, given: Box) -> dict[str, tuple[float, float]]:
+    """Return the range of each reading: as `given`, or both ends alike, what is seen (n, s) and room."""
+    middle, swing = (seen.max(axis=1) + seen.min(axis=1)) / 2, np.ptp(seen, axis=1) / 2
+    ends = [float(f"{end:.3g}") for end in np.abs(middle) + swing * (1 + SWING)]
+    return {c: given.ends.get(c, (-end, end)) for c, end in zip(channels, ends, strict=True)}
 
 
 Pair = tuple[ca.SX, ca.SX]
