@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.decoupler import Bits, Decoupler, Entry, Lookup, Step, Whole, computed, of_step, short
+from hallsym.codegen.decoupler import Bits, Decoupler, Lookup, Step, Whole, computed, of_step, short
 from hallsym.codegen.intervals import EXACT, TINY, Enclosure, constant, enclosures
 from hallsym.codegen.operations import Graph, Operation, graph
 
@@ -38,7 +38,7 @@ def pose_bounds(d: Decoupler, digits: int = 24) -> Bounds:
             errors = _errors_by_cells(d, digits)
             found = [replace(e, error=np.fmin(e.error, own)) for e, own in zip(found, errors, strict=True)]
     else:
-        found = list(d.bounded(digits).values())
+        found = list(d.bounded(d, digits).values())
     values, reach = {e.name: abs(e.value) for e in d.table}, d.box.reach()
     # what the largest terms leave of a margin: exact where the box is symmetric and the columns independent
     least = {
@@ -62,7 +62,7 @@ Entries are sums of a few products of the inverse of a well-conditioned matrix; 
 def enclosed(d: Decoupler, steps: Sequence[Step], digits: int) -> list[Enclosure]:
     """Return the enclosure of each step over the box; errors count those of the table."""
     graphs = [graph([step.expression]) for step in steps]
-    return [found for _, _, found in enclosed_steps(steps, graphs, _given(d, digits), digits)]
+    return [found for _, _, found in enclosed_steps(steps, graphs, given_of(d, digits), digits)]
 
 
 def enclosed_steps(
@@ -84,7 +84,7 @@ def enclosed_steps(
         yield step, every, found
 
 
-def _given(d: Decoupler, digits: int) -> dict[str, Enclosure]:
+def given_of(d: Decoupler, digits: int) -> dict[str, Enclosure]:
     """Return the enclosures of inputs, over the box, and of entries, rounded as they are made and stored."""
     dtype = np.float32 if digits == 24 else np.float64
     found = {d.symbols[c].name(): Enclosure(*(float(dtype(v)) for v in d.ends(c))) for c in d.inputs}
@@ -107,7 +107,7 @@ def _errors_by_cells(d: Decoupler, digits: int) -> np.ndarray:
     rounded ones too (mean value theorem); where an iteration may be at an end of its range, slopes are 0 to
     1. Slopes have signs, so terms of an expanded polynomial cancel as they do in its value.
     """
-    made, given = {step.name for step in d.steps}, _given(d, digits)
+    made, given = {step.name for step in d.steps}, given_of(d, digits)
     varies = made | {d.symbols[c].name() for c in d.inputs}
     reads = [{s.name() for s in ca.symvar(step.expression)} & varies for step in d.steps]
     crossing = []
@@ -162,28 +162,18 @@ ROOM = 1.5
 """Times the largest bound of these poses."""
 
 
-@dataclass(frozen=True, eq=False)
-class PoseByPose:
-    """Digits of the significand -> range and rounding of each coordinate, flags clear, offsets at zero.
+def pose_by_pose(d: Decoupler, digits: int) -> dict[str, Enclosure]:
+    """Return range and rounding of each coordinate, flags clear, offsets at zero; `digits`: of the
+    significand.
 
-    Rounding is bounded for each of many poses, and the largest bound is taken with some room.
+    Rounding is bounded for each of many poses of the box, and the largest bound is taken with some room.
     """
-
-    pose: tuple[str, ...]
-    inputs: tuple[str, ...]
-    steps: tuple[Step, ...]
-    table: tuple[Entry, ...]
-    drawn: Callable[[np.random.Generator, int], np.ndarray]
-    """Random inputs (n_inputs, s) of poses in the box."""
-
-    def __call__(self, digits: int) -> dict[str, Enclosure]:
-        """Return the enclosure of each coordinate."""
-        entries = {e.name: e.value for e in self.table} | {f"zero_{short(c)}": 0.0 for c in self.pose}
-        inputs = self.drawn(np.random.default_rng(6), BOUNDED)
-        named = dict(zip(map(short, self.inputs), inputs, strict=True))
-        values, errors = rounding(self.steps, named, entries, digits, len(self.pose))
-        ends = (values.min(axis=1), values.max(axis=1), ROOM * errors.max(axis=1))
-        return {c: Enclosure(*map(float, e)) for c, *e in zip(self.pose, *ends, strict=True)}
+    assert d.drawn is not None  # of every decoder that claims nothing of readings of no pose
+    inputs = d.drawn(np.random.default_rng(6), BOUNDED)
+    named = dict(zip(map(short, d.inputs), inputs, strict=True))
+    values, errors = rounding(d.steps, named, {e.name: e.value for e in d.entries}, digits, len(d.pose))
+    ends = (values.min(axis=1), values.max(axis=1), ROOM * errors.max(axis=1))
+    return {c: Enclosure(*map(float, e)) for c, *e in zip(d.pose, *ends, strict=True)}
 
 
 Numbers = dict[str, Any]

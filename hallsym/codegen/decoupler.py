@@ -247,9 +247,9 @@ class Decoupler:
     belong to no pose; any within the limits otherwise."""
     cut: float = 0.0
     """What bits that whole steps cut off add to the pose [m, rad]; `bounded` counts it as rounding."""
-    bounded: "Callable[[int], Mapping[str, Enclosure]] | None" = None
-    """Digits of the significand -> range and rounding of each pose coordinate, flags clear; interval
-    arithmetic on the whole of the steps where there is none."""
+    bounded: "Callable[[Decoupler, int], Mapping[str, Enclosure]] | None" = None
+    """This decoupler, digits of the significand -> range and rounding of each pose coordinate, flags clear;
+    interval arithmetic on the whole of the steps where there is none."""
     listed: tuple[tuple[float, ...], ...] = ()
     """Inputs that the self-test shall list, beside its own."""
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -398,8 +398,6 @@ def _whole(step: Step, value: Any, floor: Callable[[Any], Any]) -> Any:
     return value
 
 
-Values = Mapping[str, float | tuple[float, float]]
-"""Entries of the table by name, and ranges of the inputs."""
 TERMS = 3
 """Terms of a sum that one step adds."""
 
@@ -462,10 +460,6 @@ class Collected:
             total = self.step(f"{name}_part_{k}", sum(rest[:TERMS], start=total))
             rest = rest[TERMS:]
         return self.step(name, sum(rest, start=total), remark)
-
-    def values(self, inputs: Sequence[str], ends: Box) -> Values:
-        """Return the entries of the table and the ranges of the inputs, by name."""
-        return {e.name: e.value for e in self.table} | {short(c): ends.ends[c] for c in inputs}
 
     def keep(self, wanted: Sequence[str]) -> None:
         """Leave out the steps that none of the wanted ones needs."""

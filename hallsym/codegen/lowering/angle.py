@@ -73,7 +73,7 @@ def decoupler(
     check_static(model, "the angle")
     curve = Curve(model, np.asarray(p, dtype=float))
     made = _Assembly(curve, box, corrections.smallest_correction(curve, accuracy, correction)).make()
-    return replace(made, integers=lambda found, **options: program(found, curve, WEAK, **options))
+    return replace(made, integers=lambda found, **options: program(found, curve, **options))
 
 
 def arctangent() -> Odd:
@@ -111,7 +111,7 @@ class _Assembly(Collected):
             model, inputs, ends, flags=flags, approximation=self._left,
             exact=lambda given: self.curve.angle(self.curve.phase(given))[None] * share,
             cut=CUT * share * self.correction.slope,
-            bounded=Rounding(self.curve, self.correction, WEAK, [ends.ends[c] for c in inputs]),
+            bounded=Rounding(self.curve, self.correction),
             listed=self._listed(), redundancy=self.redundancy,
             drawn=residual.drawn_of(model, self.curve.p, self.given) if self.redundancy else None,
             arrays=tuple(self.arrays), options={"correction": self.correction.form}, said=self._said(),
@@ -285,19 +285,16 @@ CELLS = 256
 
 @dataclass(frozen=True, eq=False)
 class Rounding:
-    """Digits of the significand -> range and rounding of the angle, where the field is not weak."""
+    """Range and rounding of the angle, where the field is not weak."""
 
     curve: Curve
     correction: Grid
-    weak: float
-    ends: Sequence[tuple[float, float]]
-    """Least and greatest value of each input."""
 
-    def __call__(self, digits: int) -> dict[str, Enclosure]:
-        """Return the enclosure of each pose coordinate, offsets at zero."""
+    def __call__(self, d: Decoupler, digits: int) -> dict[str, Enclosure]:
+        """Return the enclosure of each pose coordinate, offsets at zero; `digits`: of the significand."""
         found, u = self.correction, 2.0**-digits
         # a reading is wrapped, and rounded once, by the second part of a turn
-        phase = half_ulp(pi, digits) if self.curve.angle_only else self._vector(digits) + octants(digits)
+        phase = half_ulp(pi, digits) if self.curve.angle_only else self._vector(d, digits) + octants(digits)
         error = phase * (1 + found.slope)
         if found.most:
             error += self._looked_up(found, digits)
@@ -310,7 +307,7 @@ class Rounding:
             error, end = share * (error + 4 * u * (pi + error)), share * end * (1 + 4 * u)
         return {c: Enclosure(-end, end, float(error)) for c in self.curve.model.pose}
 
-    def _vector(self, digits: int) -> float:
+    def _vector(self, d: Decoupler, digits: int) -> float:
         """The angle by which rounding can turn (x, y) = M (reading - center), M and center rounded too.
 
         Difference, entry, product and sum round by a share each, of |M| |reading - center|, which is at most
@@ -320,10 +317,10 @@ class Rounding:
         if matrix.shape[1] == 2:
             spread = np.linalg.norm(matrix, 2) * np.linalg.norm(np.linalg.inv(self.curve.matrix), 2)
         else:  # what readings do off the plane is bounded by their ranges alone; sums of so many terms
-            far = np.abs(np.array(self.ends) - self.curve.center[:, None]).max(axis=1)
-            spread = len(far) * np.linalg.norm(matrix @ far) / self.weak
+            far = np.abs(np.array([d.ends(c) for c in d.inputs]) - self.curve.center[:, None]).max(axis=1)
+            spread = len(far) * np.linalg.norm(matrix @ far) / WEAK
         center = np.linalg.norm(matrix @ np.abs(self.curve.center)) * u
-        moved = (1 + 8 * u) * (4 * u * spread + center / (self.weak * (1 - 8 * u)))
+        moved = (1 + 8 * u) * (4 * u * spread + center / (WEAK * (1 - 8 * u)))
         return asin(min(1.0, float(moved)))
 
     def _looked_up(self, grid: Grid, digits: int) -> float:
@@ -391,20 +388,19 @@ ENOUGH_OF_INTEGERS = 1e-5
 def program(
     d: Decoupler,
     curve: Curve,
-    weak: float,
     *,
     accuracy: float | None = None,
     correction: str | None = None,
     plan: Sequence[int] | None = None,
 ) -> Program:
-    """Return the integer program of an angle; `weak`: share of the amplitude below which a flag is set.
+    """Return the integer program of an angle.
 
     `accuracy`: what the table may leave [rad], default `ENOUGH_OF_INTEGERS`, CORDIC a thirty-second of it;
     `correction`: as of `table_of`; `plan`: as of `integer_program`.
     """
     aim = ENOUGH_OF_INTEGERS if accuracy is None else accuracy
     table, steps = table_of(curve, aim, correction), integer_c.steps_for(aim)
-    return planned(lambda given: _Turns(d, given, curve, weak, table, steps), plan)
+    return planned(lambda given: _Turns(d, given, curve, table, steps), plan)
 
 
 def table_of(curve: Curve, accuracy: float, form: str | None) -> Grid | None:
@@ -440,11 +436,10 @@ def _table(curve: Curve, count: int, bits: int, power: int | None = None, room: 
 
 class _Turns(Compiler):
     def __init__(
-        self, d: Decoupler, plan: Sequence[int] | None, curve: Curve, weak: float, table: Grid | None,
-        steps: int,
-    ) -> None:  # fmt: skip
+        self, d: Decoupler, plan: Sequence[int] | None, curve: Curve, table: Grid | None, steps: int
+    ) -> None:
         super().__init__(d, plan)
-        self.curve, self.weak, self.table, self.steps = curve, weak, table, steps
+        self.curve, self.table, self.steps = curve, table, steps
 
     def compile(self) -> Program:
         """Return the program."""
@@ -515,11 +510,11 @@ class _Turns(Compiler):
         self._checked(Fixed("vector", e, -grown, grown))
         x, y = self._cut(x, e), self._cut(y, e)
         field = self._add(self._mul(x, x), self._mul(y, y))
-        p.table["least_field"] = (round(self.weak**2 * 2.0**field.e), field.e)
+        p.table["least_field"] = (round(WEAK**2 * 2.0**field.e), field.e)
         p.flags["FIELD"] = (field.text, "least_field")
         self._beside(field, off)
         # where the flag is clear, the vector is as long but for the rounding of its square
-        length = np.sqrt(max(self.weak**2 - field.error - field.unit, 1e-9))
+        length = np.sqrt(max(WEAK**2 - field.error - field.unit, 1e-9))
         moved = asin(min(1.0, hypot(x.error, y.error) / (length - hypot(x.error, y.error))))
         cordic = integer_c.angle_error(length * 2.0**e, self.steps)
         p.said.append(f"{REVERSED}: no bit is raised.")

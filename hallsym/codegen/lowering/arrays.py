@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import qr
 
 from hallsym.codegen import residual
-from hallsym.codegen.bounds import PoseByPose
+from hallsym.codegen.bounds import pose_by_pose
 from hallsym.codegen.decoupler import (
     Box,
     Collected,
@@ -501,8 +501,7 @@ class Assembly:
         return made.finished(
             model, inputs, ends, exact=self.exact,
             flags=flags, redundancy=redundancy, leaves=leaves, drawn=self.drawn_of_box,
-            bounded=PoseByPose(model.pose, inputs, tuple(made.steps), tuple(made.table), self.drawn_of_box),
-            said=self.said(leaves), evident=False,
+            bounded=pose_by_pose, said=self.said(leaves), evident=False,
         )  # fmt: skip
 
     def linear(self) -> list[ca.SX]:

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen import residual
+from hallsym.codegen.bounds import given_of
 from hallsym.codegen.decoupler import (
     Box,
     Collected,
@@ -22,7 +23,6 @@ from hallsym.codegen.decoupler import (
     Flag,
     Redundancy,
     Step,
-    Values,
     short,
     unit,
 )
@@ -110,7 +110,6 @@ class _Assembly:
             wave_steps.logarithm_steps(made, wave, vector),
             wave_steps.arctangent_steps(made, wave, vector),
         )
-        values = made.values(inputs, ends)
         made.keep((*map(short, model.pose), "inside", *(redundancy.steps if redundancy else ())))
         return made.finished(
             model, inputs, ends, exact=self._exact,
@@ -120,7 +119,7 @@ class _Assembly:
             ),
             redundancy=redundancy, drawn=self.drawn if redundancy else None,
             approximation=found.lc * wave.error + ROUNDED, leaves=self.leaves,
-            bounded=Rounding(wave, model.pose, self.along, to_vector, values),
+            bounded=Rounding(wave, self.along, to_vector),
             listed=self._listed(), said=self._said(), evident=False,
         )  # fmt: skip
 
@@ -202,33 +201,27 @@ class _Assembly:
 
 @dataclass(frozen=True, eq=False)
 class Rounding:
-    """Digits of the significand -> range and rounding of place and height, the flag clear, offsets at zero.
+    """Range and rounding of place and height, the flag clear, offsets at zero.
 
     `steps`: those from the readings to the vector, the last two of them.
     """
 
     wave: Wave
-    pose: tuple[str, ...]
     along: str
     steps: tuple[Step, ...]
-    values: Values
 
-    def __call__(self, digits: int) -> dict[str, Enclosure]:
-        """Return the enclosure of each pose coordinate."""
-        found = self.wave.phasor
-        vector = wave_steps.vector_error(self.wave, self.steps, self.values, digits)
+    def __call__(self, d: Decoupler, digits: int) -> dict[str, Enclosure]:
+        """Return the enclosure of each pose coordinate; `digits`: of the significand."""
+        found, logarithm = self.wave.phasor, self.wave.logarithm
+        vector = wave_steps.vector_error(self.wave, self.steps, given_of(d, digits), digits)
         place = wave_steps.place_error(self.wave, vector, digits)
         height = wave_steps.height_error(self.wave, vector, digits)
-        level = constant(found.middle, digits).error + half_ulp(abs(found.middle) + self._reach, digits)
+        reach = float(logarithm.at(1.0)) * found.lc  # from the middle: |t| <= 1 whatever the flag says
+        level = constant(found.middle, digits).error + half_ulp(abs(found.middle) + reach, digits)
         end = pi * found.lc + place
         return {
             c: Enclosure(-end, end, place)
             if c == self.along
-            else Enclosure(found.middle - self._reach, found.middle + self._reach, height + level)
-            for c in self.pose
+            else Enclosure(found.middle - reach, found.middle + reach, height + level)
+            for c in d.pose
         }
-
-    @property
-    def _reach(self) -> float:
-        """Height [m] from the middle that no input exceeds: |t| <= 1 whatever the flag says."""
-        return float(self.wave.logarithm.at(1.0)) * self.wave.phasor.lc

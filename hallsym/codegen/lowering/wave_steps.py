@@ -14,7 +14,7 @@ from math import asin, ceil, hypot, log, pi, tanh
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.decoupler import Box, Collected, Step, Values, unit
+from hallsym.codegen.decoupler import Box, Collected, Step, unit
 from hallsym.codegen.intervals import Enclosure, constant, enclose, half_ulp
 from hallsym.codegen.lowering.odd_series import PI, Odd, odd, shortest
 from hallsym.codegen.lowering.phasors import Phasor
@@ -354,20 +354,9 @@ RADIAL = 64
 """Roundings of a radial term, each a share of it: entry and powers up to the twelfth harmonic."""
 
 
-def stored(values: Values, digits: int) -> dict[str, Enclosure]:
-    """Return the enclosures of entries and inputs as numbers of so many digits hold them."""
-    dtype = np.float32 if digits == 24 else np.float64
-    return {
-        name: Enclosure(*(float(dtype(v)) for v in value))
-        if isinstance(value, tuple)
-        else constant(value, digits)
-        for name, value in values.items()
-    }
-
-
-def vector_error(wave: Wave, steps: Sequence[Step], values: Values, digits: int) -> float:
-    """Return a bound of the length by which rounding moves (cos, sin), the flag clear."""
-    known = stored(values, digits)
+def vector_error(wave: Wave, steps: Sequence[Step], known: dict[str, Enclosure], digits: int) -> float:
+    """Return a bound of the length by which rounding moves (cos, sin), the last of some steps, the flag
+    clear; `known`: inputs and entries."""
     for step in steps:
         (found,) = enclose(
             [step.expression], {s.name(): known[s.name()] for s in ca.symvar(step.expression)}, digits
