@@ -64,6 +64,7 @@ EXPRESSIONS = ROUNDED | {
     "quotient": (X - Y) / (2 + ca.sin(X)),
     "choice": ca.if_else(X < Y, X * X, ca.sqrt(4 + Y)),
     "angle": ca.atan2(Y, X) + ca.atan(X) + ca.exp(Y) / 3,
+    "functions": ca.log(3 + X) + ca.asin(X / 3) - ca.acos(Y / 4) + ca.sinh(X) * ca.cosh(Y),
     "power": X**3 - 2 * Y**4 + 1 / (3 + X),
     "slope of rails": ca.jacobian(ca.fmin(ca.fmax(ca.sin(X), -0.4), 0.6) * Y, X),
 }

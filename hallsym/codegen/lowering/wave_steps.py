@@ -358,9 +358,7 @@ def vector_error(wave: Wave, steps: Sequence[Step], known: dict[str, Enclosure],
     """Return a bound of the length by which rounding moves (cos, sin), the last of some steps, the flag
     clear; `known`: inputs and entries."""
     for step in steps:
-        (found,) = enclose(
-            [step.expression], {s.name(): known[s.name()] for s in ca.symvar(step.expression)}, digits
-        )
+        (found,) = enclose([step.expression], known, digits)
         # a vector of a round is no longer than `outer` with the flag clear, and its powers as they are made
         factor, power = step.within or (1.0, 1)
         if step.within or step.name.startswith(("cos", "sin")):
