@@ -40,14 +40,10 @@ def options_of(lowering: Lowering) -> tuple[str, ...]:
 def lower(fit: Fit, box: Box, **options: Any) -> Decoupler:
     """Return the decoupler of a calibration over a box."""
     sigma = np.array([fit.noise.sigmas[c].value for c in fit.model.channels])
-    found = lowered(fit.model, fit.values, 1.0 / sigma**2, box, **options)
-    return residual.judged(found, sigma * left_over_noise(fit))
-
-
-def left_over_noise(fit: Fit) -> np.ndarray:
-    """Return what the fit leaves of each reading (n_channels,) over its noise, where that is more than 1."""
     known = {} if fit.goodness is None else fit.goodness.by_channel
-    return np.array([max(1.0, known.get(c, 1.0)) for c in fit.model.channels])
+    residual_over_noise = [max(1.0, known.get(c, 1.0)) for c in fit.model.channels]
+    found = lowered(fit.model, fit.values, 1.0 / sigma**2, box, **options)
+    return residual.judged(found, sigma * residual_over_noise)
 
 
 def lowered(model: Model, p: np.ndarray, weight: np.ndarray, box: Box, **options: Any) -> Decoupler:

@@ -33,21 +33,20 @@ def largest(
     coefficients: Sequence[float],
     function: Callable[[np.ndarray], np.ndarray],
     end: float,
-    bend: float = 1.0,
-    beside: float = 0.0,
+    bend: float,
 ) -> float:
     """Return a bound of |polynomial - function| over 0 .. end, of a function that grows.
 
     Between points h apart the error e moves by at most h/2 max |e'|; (e[k+1] - e[k]) / h is a value of e'
     within each interval, and e' moves from it by at most h max |e''|, which the coefficients and `bend`, that
-    of the function, bound. `beside`: size of other numbers whose rounding is counted with the function's.
+    of the function, bound.
     """
     a = np.array([_single(c) for c in coefficients])
     q = np.linspace(0.0, end, GRID + 1)
     e = np.polyval(a[::-1], q * q) * q - function(q)
     k, h = np.arange(len(a)), end / GRID
     bend += float((2 * k * (2 * k + 1) * np.abs(a) * end ** np.maximum(2 * k - 1, 0)).sum())
-    rounding = 8 * np.finfo(float).eps * (float(function(np.array(end))) + beside)
+    rounding = 8 * np.finfo(float).eps * (float(function(np.array(end))) + 1.0)
     slope = (np.abs(np.diff(e)).max() + 2 * rounding) / h + h * bend
     return float(np.abs(e).max() + rounding + h / 2 * slope)
 
@@ -95,11 +94,11 @@ def shortest(function: str, end: float, accuracy: float, fewest: int = 2) -> Odd
     `fewest`: terms that it has at least.
     """
     for terms in range(fewest, MOST_TERMS + 1):
-        found = Odd(tuple(_minimax(function, end, terms)), end, 0.0)
+        found = tuple(_minimax(function, end, terms))
         bend = 1.0 if function == "atan" else 2 * end / (1 - end * end) ** 2
-        error = largest(found.coefficients, FUNCTIONS[function], end, bend, 1.0)
+        error = largest(found, FUNCTIONS[function], end, bend)
         if error <= accuracy:
-            return Odd(found.coefficients, end, error)
+            return Odd(found, end, error)
     return None
 
 

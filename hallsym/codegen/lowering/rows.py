@@ -84,12 +84,6 @@ class Rows(Arrays):
         counts = share * reach > COUNTS * MICRON / self.lc
         return tuple(n for n in range(2, HARMONICS + 1) if counts[n - 1])
 
-    @property
-    def plain(self) -> Phasor:
-        """The first harmonic of a row, of which functions are bounded."""
-        phasor = self.groups[0].phasor
-        return replace(phasor, factor=phasor.factor[:, :1], harmonics=())
-
     # -- the decoder -----------------------------------------------------------------------------------------
 
     @cached_property
@@ -254,7 +248,9 @@ def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box, accurac
     if several and not found.travels():
         return None
     tilted = float(np.abs(np.array([row.lever for row in found.groups])).max(axis=0) @ half[3:])
-    wave = wave_of(found.plain, (low - tilted, high + tilted), float(leaves[0]))
+    first = found.groups[0].phasor
+    plain = replace(first, factor=first.factor[:, :1], harmonics=())  # functions of it are bounded
+    wave = wave_of(plain, (low - tilted, high + tilted), float(leaves[0]))
 
     def assembly(found: Rows) -> _Assembly:
         return _Assembly(found, (wave,) * len(found.groups), box)
