@@ -660,9 +660,9 @@ class Backend(ABC):
         }
         raised = [sum(some) for some in product(*((0, flag_bit(k)) for k in range(len(d.flags))))]
         common = {
-            "in": inputs,
+            "inputs": inputs,
             "limited": [i for i in inputs if self.inputs[i["index"]].column in self.limited],
-            "out": outputs,
+            "outputs": outputs,
             "flag": flags,
             "entry": [{"name": e.name} for e in self.entries if not e.values.ndim],
             "model": commented(d.model.name),
@@ -677,7 +677,6 @@ class Backend(ABC):
             "table_bytes": len(self.binary),
             "prefix": self.record.get("name", PREFIX),
             "type": self.type,
-            "inputs": len(d.inputs),
             "pose": len(d.pose),
             "width": self._width,
             "trials": d.tried,

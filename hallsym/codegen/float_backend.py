@@ -516,6 +516,6 @@ class FloatBackend(Backend):
             f"bad += all_within({i['greatest']});"
             if self.by_size(port.column)
             else f"bad += all_limited({i['least']}, {i['greatest']});"
-            for i, port in zip(common["in"], self.inputs, strict=True)
+            for i, port in zip(common["inputs"], self.inputs, strict=True)
         ]
         return {"every": every, "range_tests": tests}

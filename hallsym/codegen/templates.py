@@ -1,7 +1,7 @@
-"""Files of a generated folder from templates: `templates/common` and `templates/<arithmetic>` are its trees.
+"""Files of a generated folder from Jinja templates: `templates/common` and `templates/<arithmetic>` are its trees.
 
-In a template `@NAME@` stands for a text, and alone on a line for a list of lines, each indented as it is; an
-empty list takes the line away. A line with `@in.name@` stands for one line per record of the list "in".
+A list alone on a line of a template stands for its lines, each indented as it is; an empty one takes the line
+away.
 """
 
 import re
@@ -21,15 +21,25 @@ DIGITS = 16
 FRAGMENTS = "fragments"
 """Folder of templates that are parts of files."""
 ROOT = Path(__file__).parent / "templates"
-ALONE = re.compile(r"( *)@([A-Z0-9_]+)@")
-FIELD = re.compile(r"@([A-Z0-9_]+)@")
-RECORD = re.compile(r"@([a-z]+)\.([a-z_]+)@")
+BEGIN, END = "\x02", "\x03"
+"""Around the lines of a list in a rendered text."""
+LISTED = re.compile(f"( *){BEGIN}([^{END}]*){END}\n")
 
 
 @cache
-def template(name: str) -> str:
-    """Return the text of a template, such as `common/Makefile`."""
-    return (ROOT / name).read_text(encoding="utf-8")
+def _environment() -> Any:
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    found = Environment(
+        loader=FileSystemLoader(ROOT),
+        undefined=StrictUndefined,
+        finalize=_lines,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    found.filters |= {"braced": lambda text: f"{{{text}}}"}
+    return found
 
 
 @cache
@@ -44,7 +54,7 @@ def tree(arithmetic: str) -> Mapping[str, str]:
 
 
 def filled(name: str, fields: Mapping[str, Any]) -> str:
-    """Return a template with its fields filled in: texts, numbers, lists of lines, lists of records."""
+    """Return a template with its fields filled in: texts, numbers, lists of lines, records."""
     lines = lines_of(name, fields)
     first = next(k for k, line in enumerate(lines) if MARK in line)  # its licence, and what made it of what
     head, tail = COMMENTS[lines[first][:2]]
@@ -64,17 +74,13 @@ COMMENTS: Mapping[str, tuple[str | None, str]] = {
 
 def lines_of(name: str, fields: Mapping[str, Any]) -> list[str]:
     """Return the lines of a template with its fields filled in."""
-    out: list[str] = []
-    for line in template(name).splitlines():
-        alone, each = ALONE.fullmatch(line), RECORD.search(line)
-        if alone and isinstance(fields[alone[2].lower()], list):
-            rows = [row for text in fields[alone[2].lower()] for row in text.split("\n")]
-            out += [f"{alone[1]}{row}" if row else "" for row in rows]
-        else:
-            line = FIELD.sub(lambda found: str(fields[found[1].lower()]), line)
-            out += [_of(record, line) for record in fields[each[1]]] if each else [line]
-    return out
+    text: str = _environment().get_template(name).render(fields)
+    return LISTED.sub(_indented, text).splitlines()
 
 
-def _of(record: Mapping[str, Any], line: str) -> str:
-    return RECORD.sub(lambda found: str(record[found[2]]), line)
+def _lines(value: Any) -> Any:
+    return BEGIN + "".join(f"{row}\n" for row in value) + END if isinstance(value, list) else value
+
+
+def _indented(found: re.Match[str]) -> str:
+    return re.sub(r"(?m)^(?=.)", found[1], found[2])

@@ -3,13 +3,13 @@
 
 #include <stddef.h>
 
-@IEEE@
+{{ ieee }}
 
-@CRC@
-@NUMBER_AT@
+{{ crc }}
+{{ number_at }}
 uint32_t decoupler_check(const decoupler_params_t *p)
 {
-    @ENDS_LISTED@
+    {{ ends_listed }}
     const uint8_t *bytes = (const uint8_t *)p;
     uint32_t found = 0U;
     if (p->version != DECOUPLER_VERSION)
@@ -28,8 +28,8 @@ uint32_t decoupler_check(const decoupler_params_t *p)
     {
         found |= DECOUPLER_BAD_ZEROS;
     }
-    @BEYOND_ENDS@
-    @ROWS_OUTSIDE@
-    @CHECK_LIMITS@
+    {{ beyond_ends }}
+    {{ rows_outside }}
+    {{ check_limits }}
     return found;
 }

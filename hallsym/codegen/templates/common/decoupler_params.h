@@ -9,7 +9,7 @@ extern "C" {
 #endif
 
 /** SHA-256 of the calibration that the table was made from. */
-#define DECOUPLER_PARAMS_SHA256 "@SHA256@"
+#define DECOUPLER_PARAMS_SHA256 "{{ sha256 }}"
 
 extern const decoupler_params_t decoupler_params; /**< the fitted machine */
 

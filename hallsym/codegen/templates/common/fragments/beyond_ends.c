@@ -1,8 +1,8 @@
-for (uint32_t k = 0U; k < @RANGES@U; k++)
+for (uint32_t k = 0U; k < {{ ranges }}U; k++)
 {
-    const @NUMBER@ value = number(&bytes[(k * @SIZE@U) + @PLACE@]);
+    const {{ number }} value = number(&bytes[(k * {{ size }}U) + {{ place }}]);
     if (!((value >= ends[k].least) && (value <= ends[k].greatest)))
     {
-        found |= @KIND@;
+        found |= {{ kind }};
     }
 }

@@ -1,4 +1,4 @@
-/* @WHY_ENDS@ */
-static const ends_t ends[@RANGES@] = {
-    @ENDS@
+/* {{ why_ends }} */
+static const ends_t ends[{{ ranges }}] = {
+    {{ ends }}
 };

@@ -1,7 +1,7 @@
-if (p->root[k] > @ZERO@)
+if (p->root[k] > {{ zero }})
 {
-    @REAL@ rest[@WATCHED@];
+    {{ real }} rest[{{ watched }}];
     const uint32_t again = without(p, in, k, numbers[k], rest, out);
     const uint32_t degraded = ((again & DECOUPLER_STATUS_FAULT) == 0U) ? DECOUPLER_STATUS_DEGRADED : 0U;
-    result = (status & @INPUT_BITS@) | (again & @FLAG_BITS@) | degraded;
+    result = (status & {{ input_bits }}) | (again & {{ flag_bits }}) | degraded;
 }

@@ -1,17 +1,17 @@
 /* Of readings that contradict one another, the one of the largest normalised residual; the pose without it. */
-static uint32_t suspected(const decoupler_params_t *p, @IN_PARAMETER@uint32_t status,
-                          const @REAL@ *left, decoupler_out_t *out)
+static uint32_t suspected(const decoupler_params_t *p, {{ in_parameter }}uint32_t status,
+                          const {{ real }} *left, decoupler_out_t *out)
 {
-    static const @NUMBER_TYPE@ numbers[@COUNT@] = {@NUMBERS@};
-    @STARTS@
+    static const {{ number_type }} numbers[{{ count }}] = {{ numbers | braced }};
+    {{ starts }}
     uint32_t k = 0U;
     uint32_t result = status;
-    for (uint32_t n = 1U; n < @NAMED@U; n++)
+    for (uint32_t n = 1U; n < {{ named }}U; n++)
     {
         k = (size_of(left[n], p->root[n]) > size_of(left[k], p->root[k])) ? n : k;
     }
-    out->suspect = numbers[@OF_SUSPECT@];
-    @MEND@
+    out->suspect = numbers[{{ of_suspect }}];
+    {{ mend }}
     return result;
 }
 

@@ -1,21 +1,21 @@
 
-#define NUMBERS ((uint32_t)offsetof(decoupler_params_t, @FIRST@))
-#define ZEROS_LESS (ZEROS - @LIMITS_TO@U) /* so that the zeros are counted on from the limits */
+#define NUMBERS ((uint32_t)offsetof(decoupler_params_t, {{ first }}))
+#define ZEROS_LESS (ZEROS - {{ limits_to }}U) /* so that the zeros are counted on from the limits */
 
 typedef struct
 {
-    @NUMBER@ least;
-    @NUMBER@ greatest;
+    {{ number }} least;
+    {{ number }} greatest;
 } ends_t;
 
-static @NUMBER@ number(const uint8_t *bytes)
+static {{ number }} number(const uint8_t *bytes)
 {
     union
     {
-        @NUMBER@ value;
-        uint8_t bytes[@SIZE@];
+        {{ number }} value;
+        uint8_t bytes[{{ size }}];
     } found;
-    for (uint32_t k = 0U; k < @SIZE@U; k++)
+    for (uint32_t k = 0U; k < {{ size }}U; k++)
     {
         found.bytes[k] = bytes[k];
     }

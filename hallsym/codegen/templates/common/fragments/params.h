@@ -6,8 +6,8 @@ typedef struct
     uint32_t layout; /**< DECOUPLER_LAYOUT */
     uint32_t length; /**< [byte] of the table */
     uint32_t calibration[2]; /**< first 8 bytes of the SHA-256 of the calibration */
-    @TABLE@
+    {{ table }}
     uint32_t zeros_crc; /**< CRC-32 of the zeros */
-    @RESERVED@
-    @ZEROS@
+    {{ reserved }}
+    {{ zeros }}
 } decoupler_params_t;

@@ -1,4 +1,4 @@
-for (uint32_t k = 0U; k < @COUNT@U; k++)
+for (uint32_t k = 0U; k < {{ count }}U; k++)
 {
-    found |= ((p->@NAME@[k] >= @LOW@) && (p->@NAME@[k] <= @HIGH@)) ? 0U : DECOUPLER_BAD_NUMBER;
+    found |= ((p->{{ name }}[k] >= {{ low }}) && (p->{{ name }}[k] <= {{ high }})) ? 0U : DECOUPLER_BAD_NUMBER;
 }

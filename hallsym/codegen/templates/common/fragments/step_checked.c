@@ -1,11 +1,11 @@
 uint32_t decoupler_step(const decoupler_params_t *p, const decoupler_in_t *in, decoupler_out_t *out)
 {
-    @REAL@ left[@WATCHED@];
+    {{ real }} left[{{ watched }}];
     uint32_t status = pose_of(p, in, left, out);
     out->suspect = 0U;
-    if (@FAULT@)
+    if ({{ fault }})
     {
-        status = suspected(p, @IN_ARGUMENT@status, left, out);
+        status = suspected(p, {{ in_argument }}status, left, out);
     }
     return status;
 }

@@ -2,7 +2,7 @@
 /* Faults of a table, each by itself, that decoupler_check() must find. */
 #include "selftest.h"
 
-@FAULT_INCLUDES@
+{{ fault_includes }}
 #include <stddef.h>
 
 #include "decoupler.h"
@@ -11,7 +11,7 @@
 #define LENGTH ((uint32_t)sizeof(decoupler_params_t))
 #define COVERED ((uint32_t)offsetof(decoupler_params_t, version))
 #define ZEROS_CRC ((uint32_t)offsetof(decoupler_params_t, zeros_crc))
-#define ZEROS ((uint32_t)offsetof(decoupler_params_t, @FIRST_ZERO@))
+#define ZEROS ((uint32_t)offsetof(decoupler_params_t, {{ first_zero }}))
 
 /* Any bit that turns: of a long table every 61st, and all of its ends. */
 static uint32_t missed_bits(void)
@@ -62,6 +62,6 @@ uint32_t decoupler_missed_faults(void)
 {
     decoupler_params_t table = decoupler_params;
     uint32_t missed = missed_bits() + unlike_together();
-    @FAULTS@
+    {{ faults }}
     return missed;
 }

@@ -1,6 +1,6 @@
 
-static @REAL@ around(@REAL@ value, @REAL@ period)
+static {{ real }} around({{ real }} value, {{ real }} period)
 {
-    const @REAL@ half = period * @HALF@;
+    const {{ real }} half = period * {{ half }};
     return (value > half) ? (value - period) : ((value < -half) ? (value + period) : value);
 }

@@ -1,14 +1,14 @@
-static unsigned long all_@BY@(@PARAMETERS@)
+static unsigned long all_{{ by }}({{ parameters }})
 {
-    @DECLARED@
+    {{ declared }}
     unsigned long bad = 0UL;
     uint32_t bits = 0U;
     do
     {
-        @REAL@ value;
+        {{ real }} value;
         uint32_t status = 0U;
         (void)memcpy(&value, &bits, sizeof(value));
-        const @REAL@ held = @BY@(value, @ARGUMENTS@);
+        const {{ real }} held = {{ by }}(value, {{ arguments }});
         const uint32_t inside = ((value >= low) && (value <= high)) ? 1U : 0U;
         const uint32_t good = ((held >= low) && (held <= high)) ? 1U : 0U;
         const uint32_t same = ((inside == 0U) || (held == value)) ? 1U : 0U;

@@ -2,7 +2,7 @@ uint32_t decoupler_jacobian(const decoupler_params_t *p, const decoupler_in_t *i
                             decoupler_jacobian_t *slopes)
 {
     uint32_t status = 0U;
-    @SLOPES@
+    {{ slopes }}
     return status;
 }
 

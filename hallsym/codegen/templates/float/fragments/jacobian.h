@@ -1,9 +1,9 @@
 
 /**
- * Slopes of the @QUANTITY@ at one sample, for a Kalman filter: as decoupler_step().
+ * Slopes of the {{ quantity }} at one sample, for a Kalman filter: as decoupler_step().
  * @param[in] p table, as of decoupler_step()
  * @param[in] in sample
- * @param[out] slopes d @QUANTITY@ / d reading [@SLOPE_UNITS@]
+ * @param[out] slopes d {{ quantity }} / d reading [{{ slope_units }}]
  * @return 0, or the bits of the inputs that are not within their range
  */
 uint32_t decoupler_jacobian(const decoupler_params_t *p, const decoupler_in_t *in,

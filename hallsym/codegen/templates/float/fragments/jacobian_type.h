@@ -1,6 +1,8 @@
 
-/** Slopes of the @QUANTITY@ by the readings. */
+/** Slopes of the {{ quantity }} by the readings. */
 typedef struct
 {
-    @REAL@ @slope.name@; /**< [@slope.unit@] d @slope.of@ / d @slope.by@ */
+{% for s in slope %}
+    {{ real }} {{ s.name }}; /**< [{{ s.unit }}] d {{ s.of }} / d {{ s.by }} */
+{% endfor %}
 } decoupler_jacobian_t;

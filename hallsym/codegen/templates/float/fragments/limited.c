@@ -1,15 +1,15 @@
-INLINE @REAL@ limited(@REAL@ value, @REAL@ low, @REAL@ high, uint32_t bit, uint32_t *status)
+INLINE {{ real }} limited({{ real }} value, {{ real }} low, {{ real }} high, uint32_t bit, uint32_t *status)
 {
-    @REAL@ result = value;
+    {{ real }} result = value;
     if (UNLIKELY(!(value <= high))) /* NaN goes here too */
     {
         result = high;
-        *status @TAKES@ bit; /* @ONCE@ */
+        *status {{ takes }} bit; /* {{ once }} */
     }
     else if (UNLIKELY(value < low))
     {
         result = low;
-        *status @TAKES@ bit; /* @ONCE@ */
+        *status {{ takes }} bit; /* {{ once }} */
     }
     else
     {

@@ -1,9 +1,9 @@
 #if defined(__GNUC__) && !defined(__FRAMAC__)
-#define MAGNITUDE(value) @BUILTIN_FABS@(value) /* one instruction, and no libm */
+#define MAGNITUDE(value) {{ builtin_fabs }}(value) /* one instruction, and no libm */
 #else
 #define MAGNITUDE(value) magnitude(value)
-static inline @REAL@ magnitude(@REAL@ value) /* -0 gives 0, as the instruction does */
+static inline {{ real }} magnitude({{ real }} value) /* -0 gives 0, as the instruction does */
 {
-    return (value > @ZERO@) ? value : (@ZERO@ - value);
+    return (value > {{ zero }}) ? value : ({{ zero }} - value);
 }
 #endif

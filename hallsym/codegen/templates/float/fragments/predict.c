@@ -1,52 +1,56 @@
 
-static @REAL@ slower(@REAL@ speed, @REAL@ most)
+static {{ real }} slower({{ real }} speed, {{ real }} most)
 {
     return (speed > most) ? most : ((speed < -most) ? -most : speed);
 }
-@AROUND@
+{{ around }}
 
 void decoupler_track(const decoupler_params_t *p, decoupler_track_t *track, const decoupler_out_t *pose,
-                     uint32_t status, @REAL@ dt)
+                     uint32_t status, {{ real }} dt)
 {
-    const @REAL@ gap = track->gap + dt;
-    if (!((dt > @ZERO@) && (gap <= p->longest_gap)))
+    const {{ real }} gap = track->gap + dt;
+    if (!((dt > {{ zero }}) && (gap <= p->longest_gap)))
     {
         track->samples = 0U;
     }
     if (track->samples > 0U)
     {
-        @AHEAD_OF@
+        {{ ahead_of }}
         track->gap = gap;
-        if (@USABLE@)
+        if ({{ usable }})
         {
-            @UPDATED@
-            track->gap = @ZERO@;
+            {{ updated }}
+            track->gap = {{ zero }};
             track->samples += (track->samples < 0xFFFFFFFFUL) ? 1U : 0U;
         }
     }
-    else if (@USABLE@)
+    else if ({{ usable }})
     {
-        track->@out.member@ = pose->@out.member@;
-        track->speed_@out.name@ = @ZERO@;
-        track->gap = @ZERO@;
+{% for o in outputs %}
+        track->{{ o.member }} = pose->{{ o.member }};
+{% endfor %}
+{% for o in outputs %}
+        track->speed_{{ o.name }} = {{ zero }};
+{% endfor %}
+        track->gap = {{ zero }};
         track->samples = 1U;
     }
     else
     {
-        track->gap = @ZERO@;
+        track->gap = {{ zero }};
     }
 }
 
-uint32_t decoupler_predict(const decoupler_params_t *p, const decoupler_track_t *track, @REAL@ ahead,
+uint32_t decoupler_predict(const decoupler_params_t *p, const decoupler_track_t *track, {{ real }} ahead,
                            decoupler_out_t *pose)
 {
-    uint32_t status = ((@REAL@)track->samples < p->observer_settled) ? DECOUPLER_PREDICT_STARTING : 0U;
-    @REAL@ time = ahead + p->latency;
+    uint32_t status = (({{ real }})track->samples < p->observer_settled) ? DECOUPLER_PREDICT_STARTING : 0U;
+    {{ real }} time = ahead + p->latency;
     if (!((time >= -p->longest_gap) && (time <= p->longest_gap)))
     {
-        time = @ZERO@;
+        time = {{ zero }};
         status |= DECOUPLER_PREDICT_AHEAD;
     }
-    @PREDICTED@
+    {{ predicted }}
     return status;
 }

@@ -8,9 +8,13 @@
 /** Position and speed as a second-order observer has them; begins with {0}. */
 typedef struct
 {
-    @out.type@ @out.member@; /**< [@out.unit@] at the last sample */
-    @out.type@ speed_@out.name@; /**< [@out.unit@/s] */
-    @REAL@ gap; /**< [s] since the last usable sample */
+{% for o in outputs %}
+    {{ o.type }} {{ o.member }}; /**< [{{ o.unit }}] at the last sample */
+{% endfor %}
+{% for o in outputs %}
+    {{ o.type }} speed_{{ o.name }}; /**< [{{ o.unit }}/s] */
+{% endfor %}
+    {{ real }} gap; /**< [s] since the last usable sample */
     uint32_t samples; /**< used since the start */
 } decoupler_track_t;
 
@@ -23,7 +27,7 @@ typedef struct
  * @param[in] dt [s] from the timestamp of the sample before to that of this one; a longer gap starts anew
  */
 void decoupler_track(const decoupler_params_t *p, decoupler_track_t *track, const decoupler_out_t *pose,
-                     uint32_t status, @REAL@ dt);
+                     uint32_t status, {{ real }} dt);
 
 /**
  * Where the machine is some time after the timestamp of the last sample; the latency of the table is added.
@@ -33,5 +37,5 @@ void decoupler_track(const decoupler_params_t *p, decoupler_track_t *track, cons
  * @param[out] pose always finite
  * @return 0, or DECOUPLER_PREDICT_* bits
  */
-uint32_t decoupler_predict(const decoupler_params_t *p, const decoupler_track_t *track, @REAL@ ahead,
+uint32_t decoupler_predict(const decoupler_params_t *p, const decoupler_track_t *track, {{ real }} ahead,
                            decoupler_out_t *pose);

@@ -1,4 +1,4 @@
-static @REAL@ size_of(@REAL@ left, @REAL@ root)
+static {{ real }} size_of({{ real }} left, {{ real }} root)
 {
     return MAGNITUDE(left * root);
 }

@@ -1,5 +1,7 @@
-@REAL@ zeros[@POSE@];
+{{ real }} zeros[{{ pose }}];
 decoupler_out_t seen;
 status = decoupler_step(p, in, &seen);
-zeros[@out.index@] = p->@out.zero@ + (pose->@out.member@ - seen.@out.member@);
-@WRAPPED@
+{% for o in outputs %}
+zeros[{{ o.index }}] = p->{{ o.zero }} + (pose->{{ o.member }} - seen.{{ o.member }});
+{% endfor %}
+{{ wrapped }}

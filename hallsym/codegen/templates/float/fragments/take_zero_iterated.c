@@ -1,7 +1,11 @@
-@REAL@ zeros[@POSE@];
+{{ real }} zeros[{{ pose }}];
 status = 0U;
-@ALL_HELD@
-@ALSO_CHECKED@
-const @out.type@ @out.name@ = pose->@out.member@;
-@AT_POSE@
-zeros[@out.index@] = pose->@out.member@ - @out.name@_seen;
+{{ all_held }}
+{{ also_checked }}
+{% for o in outputs %}
+const {{ o.type }} {{ o.name }} = pose->{{ o.member }};
+{% endfor %}
+{{ at_pose }}
+{% for o in outputs %}
+zeros[{{ o.index }}] = pose->{{ o.member }} - {{ o.name }}_seen;
+{% endfor %}

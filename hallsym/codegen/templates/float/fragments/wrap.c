@@ -1,2 +1,2 @@
-const @REAL@ turns_@INDEX@ = zeros[@INDEX@] / @PERIOD@; /* at most two: a zero, and what the pose moves by */
-zeros[@INDEX@] -= @PERIOD@ * (@REAL@)(int32_t)turns_@INDEX@;
+const {{ real }} turns_{{ index }} = zeros[{{ index }}] / {{ period }}; /* at most two: a zero, and what the pose moves by */
+zeros[{{ index }}] -= {{ period }} * ({{ real }})(int32_t)turns_{{ index }};

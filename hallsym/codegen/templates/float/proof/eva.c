@@ -11,8 +11,10 @@ static void every_table(void)
     decoupler_params_t table = decoupler_params;
     decoupler_in_t in;
     decoupler_out_t out;
-    @EVERY_TABLE@
-    in.@in.member@ = Frama_C_@REAL@_interval(-@in.far@, @in.far@);
+    {{ every_table }}
+{% for i in inputs %}
+    in.{{ i.member }} = Frama_C_{{ real }}_interval(-{{ i.far }}, {{ i.far }});
+{% endfor %}
     (void)decoupler_step(&table, &in, &out);
 }
 
@@ -21,10 +23,14 @@ int main(void)
     decoupler_in_t in;
     decoupler_out_t out;
     every_table();
-    in.@in.member@ = Frama_C_@REAL@_interval(@in.least@, @in.greatest@);
+{% for i in inputs %}
+    in.{{ i.member }} = Frama_C_{{ real }}_interval({{ i.least }}, {{ i.greatest }});
+{% endfor %}
     const uint32_t status = decoupler_step(&decoupler_params, &in, &out);
-    //@ assert status_zero: @STATUS_OR_FLAGS@;
-    //@ assert @out.name@_bounded: @out.outer_low@ <= out.@out.member@ <= @out.outer_high@;
-    @EVA_SLOPES@
+    //@ assert status_zero: {{ status_or_flags }};
+{% for o in outputs %}
+    //@ assert {{ o.name }}_bounded: {{ o.outer_low }} <= out.{{ o.member }} <= {{ o.outer_high }};
+{% endfor %}
+    {{ eva_slopes }}
     return (int)status;
 }

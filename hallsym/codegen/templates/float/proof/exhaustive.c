@@ -7,11 +7,11 @@
 #include "../decoupler.c"
 #include "decoupler_params.h"
 
-@EVERY@
+{{ every }}
 int main(void)
 {
     unsigned long bad = 0UL;
-    @RANGE_TESTS@
-    (void)printf("exhaustive: %lu of @INPUTS@ x 2^32 bit patterns fail\n", bad);
+    {{ range_tests }}
+    (void)printf("exhaustive: %lu of {{ inputs | length }} x 2^32 bit patterns fail\n", bad);
     return (bad == 0UL) ? 0 : 1;
 }

@@ -1,8 +1,8 @@
 /* Angle of a vector in 2^-32 turns by CORDIC: step k turns it by atan 2^-k towards the x axis. */
 static uint32_t angle_of(int32_t x, int32_t y)
 {
-    static const uint32_t arctangents[@STEPS@] = {
-        @ARCTANGENTS@};
+    static const uint32_t arctangents[{{ steps }}] = {
+        {{ arctangents }}};
     int32_t across = x;
     int32_t up = y;
     uint32_t angle = 0U;
@@ -12,8 +12,8 @@ static uint32_t angle_of(int32_t x, int32_t y)
         up = difference(0, y);
         angle = 0x80000000U;
     }
-    //@ loop unroll @STEPS@;
-    for (uint32_t k = 0U; k < @STEPS@U; k++)
+    //@ loop unroll {{ steps }};
+    for (uint32_t k = 0U; k < {{ steps }}U; k++)
     {
         const int32_t a = across >> k;
         const int32_t b = up >> k;

@@ -1,5 +1,5 @@
 /** Largest magnitude of FROM_SI and FROM_COUNTS, which saturate there: beyond every range, so a status bit is set. */
-#define DECOUPLER_MOST @LARGEST@
+#define DECOUPLER_MOST {{ largest }}
 /** @cond */
 #define DECOUPLER_NEAREST_(type, x) \
     (((x) < (type)DECOUPLER_MOST) \

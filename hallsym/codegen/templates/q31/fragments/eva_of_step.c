@@ -11,8 +11,10 @@ int main(void)
 {
     decoupler_in_t in;
     decoupler_out_t out;
-    in.@in.member@ = @in.interval@;
+{% for i in inputs %}
+    in.{{ i.member }} = {{ i.interval }};
+{% endfor %}
     const uint32_t status = decoupler_step(&decoupler_params, &in, &out);
-    //@ assert status_zero: @STATUS_OR_FLAGS@;
+    //@ assert status_zero: {{ status_or_flags }};
     return (int)(status & 1U);
 }

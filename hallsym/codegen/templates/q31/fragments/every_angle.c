@@ -10,19 +10,19 @@
 
 int main(void)
 {
-    const int64_t most = @LARGEST@;
+    const int64_t most = {{ largest }};
     unsigned long bad = 0UL;
     decoupler_in_t in;
     decoupler_out_t out;
-    in.@READ@ = 0U;
+    in.{{ read }} = 0U;
     do
     {
         const uint32_t status = decoupler_step(&decoupler_params, &in, &out);
-        const uint32_t moved = out.@GIVEN@ - in.@READ@ - @SHIFT@;
+        const uint32_t moved = out.{{ given }} - in.{{ read }} - {{ shift }};
         const int64_t by = (moved < 0x80000000U) ? (int64_t)moved : ((int64_t)moved - 4294967296);
         bad += ((status == 0U) && (by <= most) && (by >= -most)) ? 0UL : 1UL;
-        in.@READ@++;
-    } while (in.@READ@ != 0U);
+        in.{{ read }}++;
+    } while (in.{{ read }} != 0U);
     (void)printf("exhaustive: %lu of 2^32 angles fail\n", bad);
     return (bad == 0UL) ? 0 : 1;
 }

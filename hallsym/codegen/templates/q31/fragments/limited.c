@@ -4,12 +4,12 @@ static inline int32_t limited(int32_t value, int32_t low, int32_t high, uint32_t
     if (value > high)
     {
         result = high;
-        *status @TAKES@ bit; /* @ONCE@ */
+        *status {{ takes }} bit; /* {{ once }} */
     }
     else if (value < low)
     {
         result = low;
-        *status @TAKES@ bit; /* @ONCE@ */
+        *status {{ takes }} bit; /* {{ once }} */
     }
     else
     {

@@ -1,9 +1,9 @@
-static unsigned long wrong_@B@(int32_t @B@)
+static unsigned long wrong_{{ b }}(int32_t {{ b }})
 {
-    @LINES@
-    const double share = ((double)@B@ * @B_UNIT@) * ((double)@R@ * @R_UNIT@);
-    const double off = ((share > 1.0) ? (share - 1.0) : (1.0 - share)) / ((double)@B@ * @B_UNIT@);
+    {{ lines }}
+    const double share = ((double){{ b }} * {{ b_unit }}) * ((double){{ r }} * {{ r_unit }});
+    const double off = ((share > 1.0) ? (share - 1.0) : (1.0 - share)) / ((double){{ b }} * {{ b_unit }});
     const double size = (off < 0.0) ? -off : off;
-    return ((size <= @ERROR@) && (@R@ >= @LEAST@) && (@R@ <= @MOST@)) ? 0UL : 1UL;
+    return ((size <= {{ error }}) && ({{ r }} >= {{ least }}) && ({{ r }} <= {{ most }})) ? 0UL : 1UL;
 }
 

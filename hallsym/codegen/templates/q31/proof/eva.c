@@ -8,10 +8,12 @@
 #include "decoupler.h"
 #include "decoupler_params.h"
 
-@UPPER@
+{{ upper }}
 int main(void)
 {
-    const int32_t @in.name@ = @in.interval@;
-    @EVA_LINES@
+{% for i in inputs %}
+    const int32_t {{ i.name }} = {{ i.interval }};
+{% endfor %}
+    {{ eva_lines }}
     return 0;
 }

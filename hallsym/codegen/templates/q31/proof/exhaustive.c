@@ -8,7 +8,7 @@
 #include "../decoupler.c"
 #include "decoupler_params.h"
 
-@RECIPROCALS@
+{{ reciprocals }}
 static unsigned long all_limited(int32_t low, int32_t high)
 {
     unsigned long bad = 0UL;
@@ -31,8 +31,10 @@ int main(void)
 {
     unsigned long bad = 0UL;
     unsigned long divisors = 0UL;
-    bad += all_limited(@limited.least@, @limited.greatest@);
-    @DIVISOR_TESTS@
-    (void)printf("exhaustive: %lu of @INPUTS@ x 2^32 bit patterns and %lu divisors fail\n", bad, divisors);
+{% for i in limited %}
+    bad += all_limited({{ i.least }}, {{ i.greatest }});
+{% endfor %}
+    {{ divisor_tests }}
+    (void)printf("exhaustive: %lu of {{ inputs | length }} x 2^32 bit patterns and %lu divisors fail\n", bad, divisors);
     return (bad == 0UL) ? 0 : 1;
 }

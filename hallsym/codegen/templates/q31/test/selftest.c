@@ -7,7 +7,7 @@
 typedef struct
 {
     decoupler_in_t in;
-    double pose[@POSE@];
+    double pose[{{ pose }}];
     uint32_t status;
 } vector_t;
 
@@ -25,13 +25,15 @@ static uint32_t mix(uint32_t x)
 /* Any integers, three quarters of them shifted towards the box. */
 static int32_t input(uint32_t n, uint32_t k)
 {
-    const int32_t raw = (int32_t)mix((n * @INPUTS@U) + k);
+    const int32_t raw = (int32_t)mix((n * {{ inputs | length }}U) + k);
     return raw >> (mix(n) & 3U);
 }
 
 static void sample(uint32_t n, decoupler_in_t *in)
 {
-    in->@in.member@ = @in.cast@input(n, @in.number@U);
+{% for i in inputs %}
+    in->{{ i.member }} = {{ i.cast }}input(n, {{ i.number }}U);
+{% endfor %}
 }
 
 uint32_t decoupler_hash(uint32_t count)
@@ -42,9 +44,11 @@ uint32_t decoupler_hash(uint32_t count)
         decoupler_in_t in;
         decoupler_out_t out;
         sample(n, &in);
-        total += mix(decoupler_step(&decoupler_params, &in, &out) ^ mix(n * @WIDTH@U));
-        total += mix((uint32_t)out.@out.member@ ^ mix((n * @WIDTH@U) + @out.number@U));
-        @HASH_SUSPECT@
+        total += mix(decoupler_step(&decoupler_params, &in, &out) ^ mix(n * {{ width }}U));
+{% for o in outputs %}
+        total += mix((uint32_t)out.{{ o.member }} ^ mix((n * {{ width }}U) + {{ o.number }}U));
+{% endfor %}
+        {{ hash_suspect }}
     }
     return total;
 }
@@ -62,14 +66,16 @@ static uint32_t differs(double value, double wanted, double bound, double *worst
 decoupler_selftest_t decoupler_selftest(void)
 {
     decoupler_selftest_t result = {0U, 0U, 0.0};
-    @STRICT@
+    {{ strict }}
     for (uint32_t k = 0U; k < DECOUPLER_VECTORS; k++)
     {
         const vector_t *wanted = &decoupler_vectors[k];
         decoupler_out_t out;
         uint32_t failed = (decoupler_step(&decoupler_params, &wanted->in, &out) == wanted->status) ? 0U : 1U;
-        failed |= differs((double)out.@out.member@ * @out.scale@, wanted->pose[@out.index@], decoupler_bounds[@out.index@], &result.worst);
-        @RAISED@
+{% for o in outputs %}
+        failed |= differs((double)out.{{ o.member }} * {{ o.scale }}, wanted->pose[{{ o.index }}], decoupler_bounds[{{ o.index }}], &result.worst);
+{% endfor %}
+        {{ raised }}
         result.vectors++;
         result.failures += failed;
     }
@@ -78,8 +84,8 @@ decoupler_selftest_t decoupler_selftest(void)
 
 uint32_t decoupler_missed_zeros(void)
 {
-    static const decoupler_out_t known[@KNOWN_POSES@] = {
-        @KNOWN_ROWS@
+    static const decoupler_out_t known[{{ known_poses }}] = {
+        {{ known_rows }}
     };
     uint32_t bad = 0U;
     for (uint32_t k = 0U; k < DECOUPLER_VECTORS; k++)
@@ -87,7 +93,7 @@ uint32_t decoupler_missed_zeros(void)
         const decoupler_in_t *in = &decoupler_vectors[k].in;
         decoupler_params_t table = decoupler_params;
         decoupler_out_t out;
-        for (uint32_t n = 0U; n < @KNOWN_POSES@U; n++)
+        for (uint32_t n = 0U; n < {{ known_poses }}U; n++)
         {
             const uint32_t status = decoupler_zero(&table, in, &known[n]);
             (void)decoupler_step(&table, in, &out);
@@ -95,14 +101,18 @@ uint32_t decoupler_missed_zeros(void)
             bad += (decoupler_check(&table) == 0U) ? 0U : 1U;
             if (status == 0U)
             {
-                bad += (out.@out.member@ == known[n].@out.member@) ? 0U : 1U;
+{% for o in outputs %}
+                bad += (out.{{ o.member }} == known[n].{{ o.member }}) ? 0U : 1U;
+{% endfor %}
             }
             else
             {
-                bad += (table.@out.zero@ == decoupler_params.@out.zero@) ? 0U : 1U;
+{% for o in outputs %}
+                bad += (table.{{ o.zero }} == decoupler_params.{{ o.zero }}) ? 0U : 1U;
+{% endfor %}
             }
         }
-        @REFUSED@
+        {{ refused }}
     }
     return bad;
 }
