@@ -8,7 +8,7 @@ import struct
 import textwrap
 import zlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import version
@@ -20,10 +20,10 @@ import numpy as np
 from hallsym.codegen import residual
 from hallsym.codegen.accepted import Ends, kept_ends
 from hallsym.codegen.bounds import Bounds
-from hallsym.codegen.decoupler import FAULT, Decoupler, flag_bit, short, unit
+from hallsym.codegen.decoupler import Decoupler, flag_bit, short, unit
 from hallsym.codegen.naming import PREFIX
 from hallsym.codegen.residual import Ran
-from hallsym.codegen.templates import LICENSE, filled, lines_of, tree
+from hallsym.codegen.templates import LICENSE, filled, hexadecimal, status_bit, tree
 from hallsym.files import json_text
 from hallsym.output import commented
 
@@ -234,7 +234,7 @@ class Backend(ABC):
 
     def hash(self, count: int) -> int:
         """Return the hash of status and pose over samples 0 to count - 1."""
-        total, width = 0, np.uint32(self._width)
+        total, width = 0, np.uint32(self.width)
         for first in range(0, count, BATCH):
             n = np.arange(first, min(first + BATCH, count), dtype=np.uint32)
             pose, status, suspects = self.hashed_step(n)
@@ -244,7 +244,7 @@ class Backend(ABC):
         return total & 0xFFFFFFFF
 
     @property
-    def _width(self) -> int:
+    def width(self) -> int:
         """Words of a sample that the hash takes: status, pose and, where one is named, the suspect."""
         return len(self.decoupler.pose) + 1 + self.decoupler.suspects
 
@@ -281,10 +281,15 @@ class Backend(ABC):
 
     tree: ClassVar[str]
     """Folder of templates."""
-    refused: ClassVar[str]
-    """Condition in C, counted, that a known pose is not refused."""
+    machine: ClassVar[str]
+    """Of QEMU, on which the folder is tried."""
     why_ends: ClassVar[str]
     """What C says of the least and greatest values of a table."""
+
+    @property
+    @abstractmethod
+    def cpu(self) -> str:
+        """Compiler options of the core of that machine."""
 
     @property
     @abstractmethod
@@ -331,14 +336,10 @@ class Backend(ABC):
         return 0
 
     @property
-    def head(self) -> tuple[tuple[str, tuple[int, ...]], ...]:
-        """Words before the entries, after the CRC that covers them."""
+    def identity(self) -> tuple[int, int]:
+        """The first 8 bytes of the SHA-256 of the calibration."""
         digest = str(self.record.get("calibration_sha256", "0" * 64))
-        identity = (int(digest[:8], 16), int(digest[8:16], 16))
-        return (
-            ("version", (VERSION,)), ("layout", (self.layout,)), ("length", (self.length,)),
-            ("calibration", identity),
-        )  # fmt: skip
+        return int(digest[:8], 16), int(digest[8:16], 16)
 
     @property
     def constant(self) -> Sequence[Stored]:
@@ -358,8 +359,8 @@ class Backend(ABC):
     @cached_property
     def covered(self) -> bytes:
         """The bytes that the CRC of the table covers: all between it and the CRC of the offsets."""
-        words = [word for _, words in self.head for word in words]
-        return struct.pack(f"<{len(words)}I", *words) + _joined(self.constant)
+        words = struct.pack("<5I", VERSION, self.layout, self.length, *self.identity)
+        return words + _joined(self.constant)
 
     @property
     def crc(self) -> int:
@@ -392,22 +393,8 @@ class Backend(ABC):
         }  # fmt: skip
         return json_text(record) + "\n"
 
-    def _values(self) -> list[str]:
-        """The table as an initializer in C."""
-
-        def word(value: int, name: str) -> str:
-            return f"{value}UL" if name in ("version", "length") else f"0x{value:08X}UL"
-
-        rows = [f"    .crc = {word(self.crc, 'crc')},"]
-        for name, words in self.head:
-            listed = ", ".join(word(value, name) for value in words)
-            rows.append(f"    .{name} = {f'{{{listed}}}' if len(words) > 1 else listed},")
-        rows += self._listed(self.constant)
-        rows.append(f"    .zeros_crc = {word(self.zeros_crc, 'crc')},")
-        rows += ["    .reserved = 0UL,"] if self.pad else []
-        return [*rows, *self._listed(self.offsets)]
-
-    def _listed(self, entries: Sequence[Stored]) -> list[str]:
+    def listed(self, entries: Sequence[Stored]) -> list[str]:
+        """Return entries as lines of an initializer in C."""
         rows = []
         for entry in entries:
             remark = f" /* [{entry.unit}] */" if entry.unit else ""
@@ -430,8 +417,9 @@ class Backend(ABC):
         for k, port in enumerate(self.inputs):
             low, high = ends(d, port.column)
             out.append({
-                **_record(k, port), "bit": bit(port.column), "mask": f"0x{d.input_bits[k]:08X}UL",
-                "least": of_params(low), "greatest": of_params(high),
+                **_record(k, port), "bit": bit(port.column), "mask": hexadecimal(d.input_bits[k]),
+                "limited": port.column in self.limited, "symmetric": d.box.symmetric(port.column),
+                "filled": f"({low} <= {high})", "least": of_params(low), "greatest": of_params(high),
                 "lowest": f"{d.ends(port.column)[0]:.6g}", "highest": f"{d.ends(port.column)[1]:.6g}",
                 **self._own(port, True),
             })  # fmt: skip
@@ -455,63 +443,61 @@ class Backend(ABC):
         return (*self.decoupler.said, *self.decoupler.of_faults)
 
     @abstractmethod
-    def _fields(self, common: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the fields of the templates that are not the same for every arithmetic."""
+    def _fields(self) -> dict[str, Any]:
+        """Return what templates of this arithmetic alone say.
+
+        Of all arithmetics: `real`, the C type of its numbers, and its `zero`; `left`, what is left of each
+        reading that is watched; `known` poses at which the self-test takes a zero, and `far`, by member,
+        values that are refused, the last one is not; `most`, the largest number.
+        """
 
     @abstractmethod
     def _input(self, port: Port, value: Any) -> str:
         """Return a value of an input or output in C, whatever it is."""
 
-    def _vectors(self, more: Callable[[int], str] = lambda k: "") -> list[str]:
-        """Return the vectors of the self-test in C; `more`: before the status of one."""
+    def vector_rows(self) -> list[str]:
+        """Return the vectors of the self-test in C."""
         found, out = self.vectors, []
         for k in range(found.inputs.shape[1]):
             inputs = ", ".join(map(self._input, self.inputs, found.inputs[:, k].tolist()))
-            status = f"0x{int(found.status[k]):X}UL"
-            out.append(f"{{{{{inputs}}}, {{{listed(found.pose[:, k])}}}, {more(k)}{status}}},")
+            references = "".join(f"{{{listed(row[:, k])}}}, " for row in self._references())
+            out.append(f"{{{{{inputs}}}, {references}0x{int(found.status[k]):X}UL}},")
         return out
 
-    def _known(self, poses: Sequence[Sequence[str]], far: Mapping[str, Sequence[str]]) -> dict[str, Any]:
-        """The fields of zeros that the self-test takes, at `poses`, and of those that are refused.
-
-        `far`: by member of the pose, values in C that are refused, the last one is not.
-        """
-        none, refused = ["0U"] * self.decoupler.suspects, []
-        for member, values in far.items():
-            for k, value in enumerate(values, 1):
-                refused += [f"pose.{member} = {value};"]
-                refused += [f"bad += {self.refused};"] if k < len(values) else []
-        rows = [f"{{{', '.join([*pose, *none])}}}," for pose in poses]
-        return {"known_poses": len(rows), "known_rows": rows, "refused": refused}
+    def _references(self) -> list[np.ndarray]:
+        """Return what a vector has beside its inputs (n, s): the pose of the model."""
+        return [self.vectors.pose]
 
     def files(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, str | bytes]:
         """Return the files of the folder by path; `errors`: largest met, `notes`: on the calibration."""
-        fields = self.fields(errors, notes)
+        d = self.decoupler
+        raised = {sum(some) for some in product(*((0, flag_bit(k)) for k in range(len(d.flags))))}
+        fields = {
+            "b": self, "d": d, "inputs": self._inputs(), "outputs": self._outputs(errors),
+            "version": VERSION, "prefix": self.record.get("name", PREFIX),
+            "sha256": self.record["calibration_sha256"], "license": self.record.get("license", LICENSE),
+            "ends": self._ends_checked(), "faults": list(self._faults()),
+            "suspects": residual.fields_of(d) if d.suspects else {},
+            "status_or_flags": " || ".join(f"status == {f'0x{v:08X}' if v else 0}" for v in sorted(raised)),
+            "bounds": ", ".join(f"{error + REFERENCE:.3e}" for error in self.error_bound.values()),
+            "notes": "\n".join(f"- {commented(note)}" for note in (*self.said, *notes)),
+            "slopes": [],
+            **self._fields(),
+        }  # fmt: skip
         made: dict[str, str | bytes] = {
             name: filled(path, fields) for name, path in self._templates().items()
         }
         return made | {"table/decoupler_params.json": self.json(), BINARY: self.binary}
 
     @property
+    def rows(self) -> list[Stored]:
+        """The rows of numbers that are not whole."""
+        return [e for e in self.entries if e.values.ndim and e.values.dtype.kind == "f"]
+
+    @property
     def numbers(self) -> list[Stored]:
         """The entries without rows."""
         return [e for e in self.entries if not e.values.ndim]
-
-    def _check(self) -> dict[str, Any]:
-        """The fields of `decoupler_check()`: the ends of all numbers, in one list; rows, and empty ranges."""
-        d, rows = self.decoupler, []
-        for e in self.entries:
-            if e.values.ndim and e.values.dtype.kind == "f":
-                low, high = self._ends_in_c(e)
-                fields = {"name": e.name, "count": len(e.values), "low": low, "high": high}
-                rows += lines_of("common/fragments/row_outside.c", fields)
-        sides = [ends(d, c) for c in self.limited if not d.box.symmetric(c)]
-        filled = " && ".join(f"({low} <= {high})" for low, high in sides)
-        return {
-            **self._ends_checked(),
-            "rows_outside": rows,
-            "check_limits": found_bad(f"!({filled})", "LIMITS") if filled else [],
-        }
 
     def _ends_checked(self) -> dict[str, Any]:
         """The fields of the loop over ends, from the first number that has any to the last."""
@@ -521,7 +507,7 @@ class Backend(ABC):
         while numbers and self._any(numbers[-1]):
             numbers.pop()
         if not numbers:
-            return {field: [] for field in ("number_at", "ends_listed", "beyond_ends")}
+            return {}
         kinds = [self._found_bad_by(e) for e in numbers]
         names = list(dict.fromkeys(kinds))
         kind = names[-1]
@@ -530,14 +516,12 @@ class Backend(ABC):
             kind = f"((k < {last}U) ? {name} : {kind})"
         size, count = numbers[0].values.itemsize, len(kinds) - kinds.count("DECOUPLER_BAD_ZEROS")
         places = ["NUMBERS"] * (count > 0) + ["ZEROS_LESS"] * (count < len(kinds))
-        fields = {
+        return {
             "number": C_TYPES[numbers[0].values.dtype.str[1:]], "size": size, "first": numbers[0].name,
-            "limits_to": count * size, "ranges": len(numbers), "kind": kind, "why_ends": self.why_ends,
+            "limits_to": count * size, "kind": kind,
             "place": places[0] if len(places) == 1 else f"((k < {count}U) ? NUMBERS : ZEROS_LESS)",
-            "ends": [f"{{{', '.join(self._ends_in_c(e))}}}, /* {e.name} */" for e in numbers],
+            "listed": [f"{{{', '.join(self.ends_in_c(e))}}}, /* {e.name} */" for e in numbers],
         }  # fmt: skip
-        parts = {"number_at": "number", "ends_listed": "ends", "beyond_ends": "beyond_ends"}
-        return {field: lines_of(f"common/fragments/{name}.c", fields) for field, name in parts.items()}
 
     def _any(self, entry: Stored) -> bool:
         """Whether an entry may be any number."""
@@ -548,7 +532,8 @@ class Backend(ABC):
         limit = entry.name in {e.name for e in self.decoupler.limits}
         return f"DECOUPLER_BAD_{'ZEROS' if entry in self.offsets else 'LIMITS' if limit else 'NUMBER'}"
 
-    def _ends_in_c(self, entry: Stored) -> list[str]:
+    def ends_in_c(self, entry: Stored) -> list[str]:
+        """Return the least and the greatest value of an entry in C."""
         own = float if entry.values.dtype.kind == "f" else int
         return [self._literal(own(end)) for end in self.accepted[entry.name]]
 
@@ -573,7 +558,7 @@ class Backend(ABC):
             fault, outside = self._found_bad_by(e), self._just_outside(e.name)
             for value in outside:
                 yield from expect(f"{place} = {value};", faults=fault)
-            for value in self._ends_in_c(e) if outside and not fault.endswith("LIMITS") else ():
+            for value in self.ends_in_c(e) if outside and not fault.endswith("LIMITS") else ():
                 yield from expect(f"{place} = {value};")
         values = {e.name: e.values.item() for e in self.numbers}
         zero = self._literal(0 * self.offsets[0].values.item())
@@ -602,123 +587,12 @@ class Backend(ABC):
         several = [version, *beyond, *(swapped[0] if swapped else ())]
         yield from expect(*several, faults=" | ".join(f"{bad}{kind}" for kind in kinds))
 
-    def _checked(self, fields: Mapping[str, Any]) -> dict[str, Any]:
-        """The step, and what it does where readings contradict one another.
-
-        `fields`: of a secant in the numbers of the arithmetic, and the condition of a fault.
-        """
-        d, of_step = self.decoupler, {"step_kind": "", "step_name": "decoupler_step", "left_parameter": ""}
-        if not d.suspects:
-            return {**of_step, "left": [], "suspect": []}
-        fields = {**fields, "watched": len(d.watched)}
-        own, common = f"{self.tree}/fragments/", "common/fragments/"
-        fields |= residual.fields_of(d, lambda n, bits: lines_of(common + n, {**fields, **bits}))
-        suspect = lines_of(f"{own}size_of.c", fields)
-        suspect += lines_of(f"{common}without.c", fields) if d.mends else []
-        suspect += lines_of(f"{common}name_suspect.c", fields) + lines_of(f"{common}step_checked.c", fields)
-        return {
-            "step_kind": "static ", "step_name": "pose_of", "left_parameter": f" {fields['real']} *left,",
-            "left": [f"left[{k}] = {text};" for k, text in enumerate(self._left)], "suspect": suspect,
-        }  # fmt: skip
-
-    @property
-    def _left(self) -> Sequence[str]:
-        """C of what is left of each reading that is watched."""
-        return [w.left for w in self.decoupler.watched]
-
-    def _flags_raised(self, most: str) -> dict[str, list[str]]:
-        """A table whose flags are all raised, by their largest least value, whatever else a vector raises."""
-        flags = self.decoupler.flags
-        own = f"(wanted->status & ~{status_bit('DEGRADED')})" if self.decoupler.mends else "wanted->status"
-        bits = " | ".join([own, *(status_bit(flag.name) for flag in flags)])
-        call = "decoupler_step(&strict, &wanted->in, &out)"
-        return {
-            "strict": ["decoupler_params_t strict = decoupler_params;"] * bool(flags)
-            + [f"strict.{flag.least} = {most};" for flag in flags],
-            "raised": [f"failed |= ({call} == ({bits})) ? 0U : 1U;"] if flags else [],
-        }
-
     def _templates(self) -> dict[str, str]:
         """Return the template of each file; EVA is for code whose results it can see."""
         found = dict(tree(self.tree))
         if not self.decoupler.evident:
             del found["proof/eva.c"]
         return found
-
-    def fields(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, Any]:
-        """Return the fields of all templates."""
-        d, inputs, outputs = self.decoupler, self._inputs(), self._outputs(errors)
-        short_hash, long_hash = (f"0x{self.hash(n):08X}UL" for n in self.hashed)
-        flags = [
-            {"name": f.name, "mask": f"0x{flag_bit(k):08X}UL", "meaning": f.meaning}
-            for k, f in enumerate(d.flags)
-        ]
-        params = {
-            "table": [e.member for e in self.constant],
-            "reserved": ["uint32_t reserved; /**< 0 */"] if self.pad else [],
-            "zeros": [e.member for e in self.offsets],
-        }
-        raised = [sum(some) for some in product(*((0, flag_bit(k)) for k in range(len(d.flags))))]
-        common = {
-            "inputs": inputs,
-            "limited": [i for i in inputs if self.inputs[i["index"]].column in self.limited],
-            "outputs": outputs,
-            "flag": flags,
-            "entry": [{"name": e.name} for e in self.entries if not e.values.ndim],
-            "model": commented(d.model.name),
-            "quantity": d.quantity,
-            "decoded": f"{'Decoupled' if len(d.pose) > 1 else 'Corrected'} {d.quantity}",
-            "family": d.model.family,
-            "sha256": self.record["calibration_sha256"],
-            "license": self.record.get("license", LICENSE),
-            "version": VERSION,
-            "layout": f"0x{self.layout:08X}UL",
-            "table_layout": f"0x{self.layout:08x}",
-            "table_bytes": len(self.binary),
-            "prefix": self.record.get("name", PREFIX),
-            "type": self.type,
-            "pose": len(d.pose),
-            "width": self._width,
-            "trials": d.tried,
-            "if_evident": "" if d.evident else "[ -f proof/eva.c ] && ",
-            "why_no_eva": "frama-c is not installed"
-            if d.evident
-            else "it relates no two values, as this code needs",
-            "params": lines_of("common/fragments/params.h", params),
-            "crc": lines_of("common/fragments/crc.c", {"first_zero": self.offsets[0].name}),
-            "first_zero": self.offsets[0].name,
-            "values": self._values(),
-            "status_or_flags": " || ".join(
-                f"status == 0x{bits:08X}" if bits else "status == 0" for bits in sorted(raised)
-            ),
-            "vectors": self.vectors.inputs.shape[1],
-            "and_flags": [f" *         (and {', '.join(status_bit(f.name) for f in d.flags)})"]
-            if d.flags
-            else [],
-            "no_loop": "" if d.suspects else ", no loop",
-            "degraded_defined": [
-                f"#define {status_bit('DEGRADED')} 0x{d.degraded_bit:08X}UL /**< one reading contradicts the "
-                f"others: the {d.quantity} is decoded without it */"
-            ]
-            if d.mends
-            else [],
-            "suspect_member": [
-                "uint32_t suspect; /**< number of the reading that contradicts the others, from 1; 0: none */"
-            ]
-            if d.suspects
-            else [],
-            "hash_suspect": [f"total += mix(out.suspect ^ mix((n * {self._width}U) + {len(d.pose) + 1}U));"]
-            if d.suspects
-            else [],
-            "bounds": ", ".join(f"{error + REFERENCE:.3e}" for error in self.error_bound.values()),
-            "hashed": self.hashed[1],
-            "hash_short": short_hash,
-            "hash_long": long_hash,
-            "said": [f" * {line}" for text in self.said for line in textwrap.wrap(text, 110)],
-            "notes": "\n".join(f"- {commented(note)}" for note in (*self.said, *notes)),
-            **self._check(),
-        }
-        return common | self._fields(common)
 
 
 def _record(k: int, port: Port) -> dict[str, Any]:
@@ -749,35 +623,9 @@ def of_params(text: str) -> str:
     return text.replace("p->", "decoupler_params.")
 
 
-def taken(d: Decoupler) -> dict[str, str]:
-    """Return how C takes the bit of an input into the status, and why so."""
-    once = {"takes": "+=", "once": "each bit once"}
-    return {"takes": "|=", "once": "inputs share bits"} if d.shared else once
-
-
 def bit(column: str) -> str:
     """Return the name of an input's status bit."""
     return status_bit(short(column).upper())
-
-
-def status_bit(name: str) -> str:
-    """Return the name of a status bit."""
-    return f"DECOUPLER_STATUS_{name}"
-
-
-def found_bad(condition: str, what: str) -> list[str]:
-    """Return C of `decoupler_check()` that says a finding where a condition holds."""
-    return [f"if ({condition})", "{", f"    found |= DECOUPLER_BAD_{what};", "}"]
-
-
-FAULTY = f"(status & {status_bit(FAULT)}) != 0U"
-"""Condition, in C, of readings that contradict one another."""
-
-
-def raised(conditions: Mapping[str, str]) -> list[str]:
-    """Return C that sets the bit of each flag where its condition holds."""
-    each = [[f"if ({c})", "{", f"    status |= {status_bit(flag)};", "}"] for flag, c in conditions.items()]
-    return [line for lines in each for line in lines]
 
 
 def _joined(entries: Sequence[Stored]) -> bytes:

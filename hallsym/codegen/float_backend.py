@@ -1,6 +1,6 @@
 """The files of a decoupler in float or double."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -10,24 +10,20 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen import accepted, backend, residual
-from hallsym.codegen.backend import VERSION, Backend, Port, Stored, ends, listed
+from hallsym.codegen.backend import VERSION, Backend, Port, Stored, ends
 from hallsym.codegen.bounds import Bounds, enclosed, pose_bounds
 from hallsym.codegen.cost import firmware_cost
 from hallsym.codegen.decoupler import ROOT, Array, Decoupler, Entry, Step, short, steps_on_arrays, unit
 from hallsym.codegen.float_c import Real, shared_steps, statements
 from hallsym.codegen.naming import identifier
 from hallsym.codegen.residual import Ran
-from hallsym.codegen.templates import lines_of
 from hallsym.model.arrays import on_arrays
 from hallsym.output import commented
 
-M4 = "-mcpu=cortex-m4 -mthumb"
-"""Compiler options of a Cortex-M4F."""
-MOST_STEPS = 20
-"""Steps of the arithmetic that the report lists."""
+CONSTANTS = {"one": 1.0, "half": 0.5, "four": 4.0, "scale": 2.0**-24, "at_known": 2.0**-12}
+"""Numbers of the templates."""
 UNION = "misra-c2012-19.2:decoupler.c"
 """Deviation: the bits of a number are read through a union, which C99 defines."""
-FRAGMENTS = "float/fragments/"
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +84,7 @@ class FloatBackend(Backend):
     jacobian: bool = False
 
     tree: ClassVar[str] = "float"
-    refused: ClassVar[str] = "not_refused(in, &pose, DECOUPLER_STATUS_KNOWN)"
+    machine: ClassVar[str] = "mps2-an386"
     why_ends: ClassVar[str] = "every table within these ends gives finite numbers, by interval arithmetic"
 
     @property
@@ -100,6 +96,11 @@ class FloatBackend(Backend):
     def type(self) -> str:
         """Float or double."""
         return self.real.name
+
+    @property
+    def cpu(self) -> str:
+        """Compiler options of a Cortex-M4F."""
+        return f"-mcpu=cortex-m4 -mthumb {self.real.fpu}"
 
     @cached_property
     def bounds(self) -> Bounds:
@@ -250,68 +251,77 @@ class FloatBackend(Backend):
         if given:
             names = [f"{side}_{short(c)}" for side in ("limit", "low", "high")]
             far = max(abs(v) for name in names for v in self.accepted.get(name, ()))
-            return {"kind": "reading" if c in d.model.channels else "measured state", "far": literal(far)}
+            kind, by = "reading" if c in d.model.channels else "measured state", self.by_size(c)
+            return {"kind": kind, "far": literal(far), "by": "within" if by else "limited"}
         own = {"hashed": literal(self.reset[c]), "period": literal(d.model.period.get(c, 0.0))}
         if d.evident:  # else nothing is proved of it by EVA
             for name, value in (("outer_low", self.bounds.low[c]), ("outer_high", self.bounds.high[c])):
                 own[name] = literal(float(np.float32(value * 1.0001)) + (1e-12 if value > 0 else -1e-12))
         return own
 
-    def _fields(self, common: Mapping[str, Any]) -> dict[str, Any]:
-        d, c = self.decoupler, self.real.constant
-        work, slopes = firmware_cost(d), self.slopes.records() if self.jacobian else []
-        least = self.bounds.least_gain
-        gains = [{"column": commented(column), "share": f"{v:.4f}"} for column, v in least.items()]
-
-        def units(columns: Sequence[str], between: str = ", ") -> str:
-            return between.join(dict.fromkeys(map(unit, columns)))
-
-        common = {
-            **common,
+    def _fields(self) -> dict[str, Any]:
+        d, real, c = self.decoupler, self.real, self.real.constant
+        names = {e.name: f"p->{e.name}" for e in d.entries}
+        last = d.steps[-len(d.pose) :]
+        results = {s.name: f"out->{identifier(column)}" for s, column in zip(last, d.pose, strict=True)}
+        most = {identifier(column): c(d.known(column)) for column in d.pose}
+        within = [
+            f"((pose->{column} >= -{far}) && (pose->{column} <= {far}))" for column, far in most.items()
+        ]
+        by_size = list(map(self.by_size, d.inputs))
+        ends = (2.0**-12, -(2.0**-12)) if d.at_pose else (2.0**-12, 1.0, -1.0)  # non-linear models: near rest
+        return {
             "real": self.type,
-            **backend.taken(d),
-            "builtin_fabs": self.real.fabs,
+            **{f"of_{name}": c(value) for name, value in CONSTANTS.items()},
             "zero": c(0.0),
-            "one": c(1.0),
-            "ieee": lines_of(f"{FRAGMENTS}ieee.c", {}),
-            # header
-            "probes": len(d.model.channels),
-            "all_units": units((*d.inputs, *d.pose), " and "),
-            "reading_units": units(d.model.channels),
-            "state_units": f" and state [{units(d.model.state)}]" if d.model.state else "",
-            "pose_units": units(d.pose),
-            "known": ", ".join(dict.fromkeys(f"{d.known(c):.6g} {unit(c)}" for c in d.pose)),
-            "slope": slopes,
-            "slope_units": ", ".join(dict.fromkeys(record["unit"] for record in slopes)),
-            # build files
+            "by_size": "all" if all(by_size) else "some" if any(by_size) else "",
+            "held": self._clamped(d.folded),
+            "body": statements(d.steps, names, real, results),
+            "left": [w.left for w in d.watched],
+            "all_held": self._clamped(),
+            "at_pose": statements(d.at_pose, names, real, {}),
+            "known_within": "\n        && ".join(within),
+            "reach": ", ".join(dict.fromkeys(f"{d.known(column):.6g} {unit(column)}" for column in d.pose)),
+            "known": [[c(share * d.known(column)) for column in d.pose] for share in ends],
+            "far": {
+                p.member: [*(self._input(p, k * d.known(p.column) * 1.0001) for k in (1, -1, np.nan)), c(0.0)]
+                for p in self.outputs
+            },
+            "most": real.most,
+            # what roundings of a pose at its largest zero, and iterations, may leave [m, rad], and some
+            "near": c(8 * 2.0**-real.digits * max(2.0 * d.known(p) for p in d.pose) + 10 * d.slack),
             "deviations": [
-                *([UNION] if any(map(self.by_size, d.inputs)) else []),
+                *([UNION] if any(by_size) else []),
                 backend.UNION,
                 *([] if d.at_pose and not d.redundancy else [backend.STEP]),
             ],
-            "cpu": f"{M4} {self.real.fpu}",
-            "machine": "mps2-an386",
-            # proofs
-            "eva_slopes": self._if_jacobian("eva_slopes.c"),
-            "every_table": list(self._every_table()),
-            # report
-            "least_gains": lines_of(f"{FRAGMENTS}least_gains.md", {"gain": gains}) if gains else [],
-            "arithmetic": [f"    {s.name} = {s.expression}" for s in d.steps]
-            if len(d.steps) <= MOST_STEPS
-            else [f"    {len(d.steps)} steps, see decoupler.c"],
-            "operations": work.operations,
-            "moves": work.moves,
-            "instructions": work.instructions,
+            "work": firmware_cost(d),
+            **(self._of_slopes(names) if self.jacobian else {}),
         }
-        return common | self._step(common) | self._selftest() | self._range_tests(common)
+
+    def _of_slopes(self, names: Mapping[str, str]) -> dict[str, Any]:
+        slopes, values = self.slopes, self._references()[1]
+        stored = {f"result_{k}": f"slopes->{name}" for k, name in enumerate(slopes.expressions)}
+        # the reference is computed in double and written with 13 digits
+        limits = [
+            error + 1e-12 * np.abs(row).max()
+            for error, row in zip(slopes.errors(self.real), values, strict=True)
+        ]
+        return {
+            "slopes": slopes.records(),
+            "slope_body": self._clamped(slopes.whole) + statements(slopes.steps, names, self.real, stored),
+            "slope_bounds": ", ".join(f"{limit:.3e}" for limit in limits),
+        }
+
+    def _references(self) -> list[np.ndarray]:
+        """With the slopes in double."""
+        slopes = [self.slopes.of(self.vectors.clamped)] if self.jacobian else []
+        return [self.vectors.pose, *slopes]
 
     @cached_property
     def slopes(self) -> Slopes:
         """The slopes that `decoupler_jacobian()` gives."""
         return Slopes(self.decoupler)
-
-    def _if_jacobian(self, fragment: str, fields: Mapping[str, Any] | None = None) -> list[str]:
-        return lines_of(FRAGMENTS + fragment, fields or {}) if self.jacobian else []
 
     # -- step, check ---------------------------------------------------------------------------------------
 
@@ -331,95 +341,6 @@ class FloatBackend(Backend):
             lines.append(f"const {self.type} {short(c)} = {call}" if needed else f"(void){call}")
         return lines
 
-    def _step(self, common: Mapping[str, Any]) -> dict[str, Any]:
-        d, real = self.decoupler, self.real
-        names = {e.name: f"p->{e.name}" for e in d.entries}
-        last = d.steps[-len(d.pose) :]
-        results = {s.name: f"out->{identifier(c)}" for s, c in zip(last, d.pose, strict=True)}
-        body = statements(d.steps, names, real, results)
-        most = {identifier(c): real.constant(d.known(c)) for c in d.pose}
-        known = [f"((pose->{c} >= -{far}) && (pose->{c} <= {far}))" for c, far in most.items()]
-        slopes: list[str] = []
-        if self.jacobian:
-            slopes = self._clamped(self.slopes.whole)
-            stored = {f"result_{k}": f"slopes->{name}" for k, name in enumerate(self.slopes.expressions)}
-            slopes += statements(self.slopes.steps, names, real, stored)
-        magnitude = lines_of(f"{FRAGMENTS}magnitude.c", common)
-        by_size = list(map(self.by_size, d.inputs))
-        within = lines_of(f"{FRAGMENTS}within.c", {**common, **vars(real)}) if any(by_size) else []
-        limited = lines_of(f"{FRAGMENTS}limited.c", common)
-        if all(by_size):
-            limited = ["#if defined(__FRAMAC__)", *limited[:-1], "#endif", ""]
-        wrapped = [
-            line
-            for k, c in enumerate(d.pose)
-            if c in d.model.period
-            for line in lines_of(f"{FRAGMENTS}wrap.c", {
-                "index": k, "real": self.type, "period": real.constant(d.model.period[c]),
-            })
-        ]  # fmt: skip
-        taken = {"pose": len(d.pose), "wrapped": wrapped}
-        checked = ["decoupler_out_t seen;", "status |= decoupler_step(p, in, &seen);"]
-        iterated = {"all_held": self._clamped(), "at_pose": statements(d.at_pose, names, real, {})}
-        iterated["also_checked"] = checked if d.redundancy else []
-        through_two, none = "(now * (value - before)) / (now - last)", real.constant(0.0)
-        secant = {
-            **common, "wide": self.type, "first": "now", "moved": "value - step", "converts": [],
-            "along": f"((now < last) || (now > last)) ? ({through_two}) : {none}",
-            "fault": f"UNLIKELY({backend.FAULTY})",
-        }  # fmt: skip
-        zero = "take_zero_iterated.c" if d.at_pose else "take_zero.c"
-        return {
-            "jacobian_type": self._if_jacobian("jacobian_type.h", common),
-            "jacobian_function": self._if_jacobian("jacobian.h", common),
-            "limited_function": limited,
-            "within": within,
-            "held": self._clamped(d.folded),
-            "body": body,
-            "flags": backend.raised({f.name: f"!({f.step} >= p->{f.least})" for f in d.flags}),
-            "jacobian": self._if_jacobian("jacobian.c", {"slopes": slopes}),
-            "known_within": "\n        && ".join(known),
-            **self._predict(common),
-            **self._checked(secant),
-            "take_zero": lines_of(FRAGMENTS + zero, {**common, **taken, **iterated}),
-            "magnitude": magnitude
-            if d.suspects or any("MAGNITUDE(" in line for line in (*body, *within))
-            else [],
-        }
-
-    def _predict(self, common: Mapping[str, Any]) -> dict[str, list[str]]:
-        """The observer behind the step."""
-        d, c = self.decoupler, self.real.constant
-        if not d.observed:
-            return {"predict": [], "predict_functions": []}
-        ahead, updated, predicted, repeats = [], [], [], False
-        for port in self.outputs:
-            m, name = port.member, short(port.column)
-            speed = f"track->speed_{name}"
-            period = c(d.model.period[port.column]) if port.column in d.model.period else ""
-            repeats |= bool(period)
-            around = (lambda text, own=period: f"around({text}, {own})") if period else (lambda text: text)
-            ahead.append(f"track->{m} = {around(f'track->{m} + ({speed} * dt)')};")
-            updated += [
-                f"const {self.type} off_{name} = {around(f'pose->{m} - track->{m}')};",
-                f"track->{m} = {around(f'track->{m} + (p->observer_position * off_{name})')};",
-                f"{speed} = slower({speed} + (p->observer_speed * off_{name}), p->fastest_{name});",
-            ]
-            predicted.append(f"pose->{m} = {around(f'track->{m} + ({speed} * time)')};")
-        predicted += ["pose->suspect = 0U;"] if d.suspects else []
-        usable = "status == 0U"
-        if d.mends:
-            usable = f"(status == 0U) || (status == {backend.status_bit('DEGRADED')})"
-        fields = {
-            **common,
-            "around": lines_of(f"{FRAGMENTS}around.c", {**common, "half": c(0.5)}) if repeats else [],
-            "ahead_of": ahead, "updated": updated, "predicted": predicted, "usable": usable,
-        }  # fmt: skip
-        return {
-            "predict": lines_of(f"{FRAGMENTS}predict.c", fields),
-            "predict_functions": lines_of(f"{FRAGMENTS}predict.h", common),
-        }
-
     def _accepted(self) -> accepted.Ends:
         """As wide as finite results allow."""
         return accepted.accepted(self.decoupler, float(np.finfo(self.real.dtype).max))
@@ -434,88 +355,7 @@ class FloatBackend(Backend):
         ]
         return [self._input(self.inputs[0], float(value)) for value in (np.nan, np.inf, -np.inf, *just)]
 
-    # -- self-test and proofs ------------------------------------------------------------------------------
-
-    def _selftest(self) -> dict[str, Any]:
-        d, found, c = self.decoupler, self.vectors, self.real.constant
-        # what roundings of a pose at its largest zero, and iterations, may leave [m, rad], and some
-        near = 8 * 2.0**-self.real.digits * max(2.0 * d.known(p) for p in d.pose) + 10 * d.slack
-        slopes, slope_bounds = found.pose, []
-        if self.jacobian:
-            slopes = self.slopes.of(found.clamped)
-            errors = self.slopes.errors(self.real)
-            # the reference is computed in double and written with 13 digits
-            limits = [error + 1e-12 * np.abs(row).max() for error, row in zip(errors, slopes, strict=True)]
-            shown = ", ".join(f"{limit:.3e}" for limit in limits)
-            slope_bounds = [f"static const double decoupler_slope_bounds[{len(limits)}] = {{{shown}}};"]
-        own = "wanted->status"
-        if d.flags:  # of the inputs alone: a slope looks at no flag
-            own = f"(wanted->status & 0x{sum(set(d.input_bits)):08X}UL)"
-        status = f"failed |= (status == {own}) ? 0U : 1U;"
-        return {
-            "that_the_model_gives": "that the model gives",
-            "vector_includes": ["#include <math.h>", ""],
-            "slope_bounds": slope_bounds,
-            "rows": self._vectors(lambda k: f"{{{listed(slopes[:, k])}}}, " if self.jacobian else ""),
-            "word": lines_of(f"{FRAGMENTS}word_{self.type}.c", {}),
-            "wild": lines_of(f"{FRAGMENTS}wild_{self.type}.c", {}),
-            "scale": c(2.0**-24),
-            "four": c(4.0),
-            "slope_field": [f"double slopes[{len(self.slopes.expressions)}];"] if self.jacobian else [],
-            "slope_step": self._if_jacobian("slope_step.c"),
-            "slope_status": [status] if self.jacobian else [],
-            **self._flags_raised(self.real.most),
-            "flag_includes": ["#include <float.h>"] if d.flags else [],
-            "near": c(near),
-            "at_known": c(2.0**-12),
-            **self._known(*self._zeros()),
-            "fault_includes": ["#include <float.h>", "#include <math.h>"],
-            "faults": list(self._faults()),
-        }
-
-    def _every_table(self) -> Iterator[str]:
-        """Lines of C that give each number of a table every value between its ends, for Frama-C EVA."""
-        for e in self.entries:
-            kind = "" if e.values.dtype.kind == "i" else f"{self.type}_"
-            between = f"Frama_C_{kind}interval({', '.join(self._ends_in_c(e))})"
-            place = f"table.{e.name}{'[k]' if e.values.ndim else ''} = {between};"
-            loop = f"for (uint32_t k = 0U; k < {len(e.values)}U; k++)" if e.values.ndim else ""
-            yield from [loop, "{", f"    {place}", "}"] if loop else [place]
-
-    def _zeros(self) -> tuple[list[list[str]], dict[str, list[str]]]:
-        """Poses at which a zero is taken, in C, and by member what is refused; see `_known`."""
-        d, c = self.decoupler, self.real.constant
-        ends = (2.0**-12, -(2.0**-12)) if d.at_pose else (2.0**-12, 1.0, -1.0)  # non-linear models: near rest
-        far = {
-            p.member: [*(self._input(p, k * d.known(p.column) * 1.0001) for k in (1, -1, np.nan)), c(0.0)]
-            for p in self.outputs
-        }
-        return [[c(share * d.known(p)) for p in d.pose] for share in ends], far
-
     def _input(self, port: Port, value: Any) -> str:
         if np.isfinite(value):
             return self.real.constant(value)
         return f"{'-' * (value < 0)}{self.real.cast}{'NAN' if np.isnan(value) else 'INFINITY'}"
-
-    def _range_tests(self, common: Mapping[str, Any]) -> dict[str, Any]:
-        """The trial of every bit pattern of an input through its range test.
-
-        That is all that stands between an input and the arithmetic: with the interval bounds it shows that
-        outputs are finite and bounded and that status is 0 iff inputs are in the box.
-        """
-        t, forms = self.type, {}
-        if any(map(self.by_size, self.decoupler.inputs)):
-            forms["within"] = (f"{t} high", [f"const {t} low = -high;"], "high, 1U, &status")
-        if not all(map(self.by_size, self.decoupler.inputs)):
-            forms["limited"] = (f"{t} low, {t} high", [], "low, high, 1U, &status")
-        every: list[str] = []
-        for by, form in forms.items():
-            fields = dict(zip(("by", "parameters", "declared", "arguments"), (by, *form), strict=True))
-            every += lines_of(f"{FRAGMENTS}every.c", {**common, **fields})
-        tests = [
-            f"bad += all_within({i['greatest']});"
-            if self.by_size(port.column)
-            else f"bad += all_limited({i['least']}, {i['greatest']});"
-            for i, port in zip(common["inputs"], self.inputs, strict=True)
-        ]
-        return {"every": every, "range_tests": tests}

@@ -1,6 +1,6 @@
 """The files of a decoupler in 32-bit integers, for a controller without a floating-point unit."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import ceil, floor, pi
@@ -13,15 +13,13 @@ from hallsym.codegen import accepted, backend, residual
 from hallsym.codegen.backend import VERSION, Backend, Port, Stored, ends
 from hallsym.codegen.bounds import Bounds
 from hallsym.codegen.decoupler import OF_ROOT, ROOT, flag_bit, short, unit
-from hallsym.codegen.integer_c import LARGEST, MASK, UNIT, Program, Reciprocal, helpers
+from hallsym.codegen.integer_c import ARCTANGENTS, FINE, LARGEST, MASK, UNIT, Program, Reciprocal
 from hallsym.codegen.naming import identifier
 from hallsym.codegen.residual import Ran
-from hallsym.codegen.templates import lines_of
 from hallsym.output import commented
 
 KNOWN = 1 << 29
 """Largest known pose, in units of its last bit, that a zero may be taken at."""
-KNOWN_BIT = "#define DECOUPLER_STATUS_KNOWN 0x80000000UL /**< decoupler_zero(): known pose beyond 2^29 */"
 SHIFTS = "misra-c2012-10.1:decoupler.c"
 """Deviation: numbers with a sign are shifted right."""
 FRAGMENTS = "q31/fragments/"
@@ -34,7 +32,8 @@ class IntegerBackend(Backend):
     program: Program
 
     tree: ClassVar[str] = "q31"
-    refused: ClassVar[str] = "(decoupler_zero(&table, in, &pose) == DECOUPLER_STATUS_KNOWN) ? 0U : 1U"
+    cpu: ClassVar[str] = "-mcpu=cortex-m0 -mthumb"
+    machine: ClassVar[str] = "microbit"
     why_ends: ClassVar[str] = "with gains within these ends none comes to nothing"
     hashed = (4096, 100_000)
     batch: ClassVar[int] = 1 << 62
@@ -61,12 +60,12 @@ class IntegerBackend(Backend):
 
     def _port(self, column: str) -> Port:
         if column in self.program.angles:
-            return Port(column, "uint32_t", f"{short(column)}_bam", self._bam[1], self._bam[0])
+            return Port(column, "uint32_t", f"{short(column)}_bam", self.bam[1], self.bam[0])
         exponent = self.exponents[column]
         return Port(column, "int32_t", identifier(column), f"2^-{exponent} {unit(column)}", 2.0**-exponent)
 
     @property
-    def _bam(self) -> tuple[float, str]:
+    def bam(self) -> tuple[float, str]:
         """What a unit of a binary angle is [rad], and in words: 2^-32 of what the angle repeats with."""
         period = self.decoupler.model.period[self.decoupler.pose[0]]
         return UNIT * (period / (2 * pi)), f"2^-32 {'turn' if period == 2 * pi else 'period'}"
@@ -223,7 +222,7 @@ class IntegerBackend(Backend):
         """With the exponents."""
         return super().json(exponents=self.exponents, **more)
 
-    def _fields(self, common: Mapping[str, Any]) -> dict[str, Any]:
+    def _fields(self) -> dict[str, Any]:
         p, d = self.program, self.decoupler
         prefix = {**dict.fromkeys(p.inputs, "DECOUPLER_"), **dict.fromkeys(p.outputs, "DECOUPLER_OUT_")}
         scales = []
@@ -235,101 +234,54 @@ class IntegerBackend(Backend):
                     "step": repr(2.0**-e), "column": commented(c.column), "unit": c.unit,
                     "input": c.column in p.inputs,
                 })  # fmt: skip
-        of_angles = []
-        if p.angles:
-            bam, words = self._bam
-            of_angles = [f"#define DECOUPLER_RAD_PER_BAM {bam!r} /**< binary angles: {words} */"]
-            of_angles += lines_of(f"{FRAGMENTS}angle_conversions.h", {"per_rad": repr(1 / bam)})
-        common = {
-            **common,
-            # header
+        known = [f"(pose->{identifier(c)} >= -{KNOWN}) && (pose->{identifier(c)} <= {KNOWN})" for c in d.pose]
+        angles = [port.column in p.angles for port in self.outputs]
+        tried = [[0x7FFFFFFF if angle else KNOWN for angle in angles]]
+        tried += [[0x80000001 if angle else -KNOWN for angle in angles], [4096] * len(angles)]
+        steps = [line.i for line in p.lines if line.operation == "angle"]
+        return {
+            "real": "int32_t",
+            "zero": "0",
             "scaled": scales,
-            "scaledinput": [s for s in scales if s["input"]],
-            "conversions": lines_of(f"{FRAGMENTS}conversions.h", {"largest": LARGEST}) if scales else [],
-            "no_bits": [] if self.limited or d.flags else [""],
-            "rad_per_bam": of_angles,
-            "said": [*(lines_of(f"{FRAGMENTS}binary_angles.txt", {}) if p.angles else ()), *common["said"]],
-            "known_bit": [] if p.angles else [KNOWN_BIT],
-            # build files
+            "largest": LARGEST,
+            "held": self._held(),
+            "body": p.c({e.name: f"p->{e.name}" for e in self.numbers}),
+            "left": p.left,
+            "operations": [line.operation for line in p.lines],
+            "arctangents": ARCTANGENTS[: max(steps, default=0)],
+            "fine": FINE,
+            "known_within": "\n        && ".join(known),
+            "known": [list(map(self._input, self.outputs, row)) for row in tried],
+            "far": {
+                port.member: [str(KNOWN + 1), str(-KNOWN - 1), "0"]
+                for port, angle in zip(self.outputs, angles, strict=True)
+                if not angle
+            },
+            "most": str(MOST),
             "deviations": [
-                *[backend.UNION] * bool(common["number_at"]),
+                *[backend.UNION] * bool(self._ends_checked()),
                 backend.STEP,
                 *[SHIFTS] * p.shifts,
             ],
-            "cpu": "-mcpu=cortex-m0 -mthumb",
-            "machine": "microbit",
-            # report
-            "operations": len(p.lines),
-            "products": sum(line.operation == "mul" for line in p.lines),
-            "pose_names": ", ".join(short(c) for c in d.pose),
+            **self._proofs(),
         }
-        return common | self._step(common) | self._selftest() | self._proofs()
 
     # -- step, check ---------------------------------------------------------------------------------------
 
-    def _step(self, common: Mapping[str, Any]) -> dict[str, Any]:
-        p, d = self.program, self.decoupler
+    def _held(self) -> list[str]:
+        """Bring the inputs into their range; of those that no line takes only the status counts."""
+        p, held = self.program, []
         used = {name for line in p.lines for name in (line.a, line.b)}
-        clamped = []
         for port in self.inputs:
             c, name = port.column, short(port.column)
-            call = f"limited(in->{port.member}, {', '.join(ends(d, c))}, {backend.bit(c)}, &status);"
+            sides = ", ".join(ends(self.decoupler, c))
+            call = f"limited(in->{port.member}, {sides}, {backend.bit(c)}, &status);"
             call = f"in->{port.member};" if c in p.angles else call
             kept = c in p.angles or name in used
-            clamped.append(f"const {port.type} {name} = {call}" if kept else f"(void){call}")
-        names = {e.name: f"p->{e.name}" for e in self.numbers}
-        known = [f"(pose->{identifier(c)} >= -{KNOWN}) && (pose->{identifier(c)} <= {KNOWN})" for c in d.pose]
-        zero = "take_zero_of_angle.c" if p.angles else "take_zero.c"
-        can_fail = bool(self.limited or d.flags)
-        secant = {
-            **common, "real": "int32_t", "zero": "0", "wide": "int64_t",
-            "first": f"-{residual.NUDGED}", "moved": "in_32_bits((int64_t)value - step)",
-            "along": "(now == last) ? 0 : ((now * ((int64_t)value - before)) / ((int64_t)now - last))",
-            "converts": lines_of(f"{FRAGMENTS}in_32_bits.c", {}), "fault": backend.FAULTY,
-        }  # fmt: skip
-        return {
-            "helpers": helpers(p),
-            "limits": lines_of(f"{FRAGMENTS}limited.c", backend.taken(d)) if self.limited else [],
-            "status": ["uint32_t status = 0U;"] if can_fail else [],
-            "held": clamped,
-            "body": p.c(names),
-            "flags": backend.raised({f: f"{seen} < p->{least}" for f, (seen, least) in p.flags.items()}),
-            "returned": "status" if can_fail else "0U",
-            "but_for_faults": " but of a sample that is decoded without a reading" if d.mends else "",
-            **self._checked(secant),
-            "take_zero": lines_of(
-                FRAGMENTS + zero, {**common, "pose": len(d.pose), "known": "\n    && ".join(known)}
-            ),
-        }
+            held.append(f"const {port.type} {name} = {call}" if kept else f"(void){call}")
+        return held
 
     # -- self-test and proofs ------------------------------------------------------------------------------
-
-    def _selftest(self) -> dict[str, Any]:
-        angles = [port.column in self.program.angles for port in self.outputs]
-        tried = [[0x7FFFFFFF if angle else KNOWN for angle in angles]]
-        tried += [[0x80000001 if angle else -KNOWN for angle in angles], [4096] * len(angles)]
-        far = {
-            port.member: [str(KNOWN + 1), str(-KNOWN - 1), "0"]
-            for port, angle in zip(self.outputs, angles, strict=True)
-            if not angle
-        }
-        known = self._known([list(map(self._input, self.outputs, row)) for row in tried], far)
-        known["refused"] = ["decoupler_out_t pose = {0};"] * (not all(angles)) + known["refused"]
-        return {
-            "that_the_model_gives": "[SI] of the model",
-            "vector_includes": [],
-            "slope_bounds": [],
-            "rows": self._vectors(),
-            **self._flags_raised(str(MOST)),
-            **known,
-            "fault_includes": [],
-            "ieee": [],
-            "faults": list(self._faults()),
-        }
-
-    @property
-    def _left(self) -> Sequence[str]:
-        return self.program.left
 
     def _input(self, port: Port, value: Any) -> str:
         return _integer(int(value), port.column in self.program.angles)
@@ -342,15 +294,15 @@ class IntegerBackend(Backend):
         """
         p = self.program
         text = p.c({e.name: f"decoupler_params.{e.name}" for e in self.numbers})
-        eva, reciprocals, calls = list(text), [], []
+        eva, reciprocals = list(text), []
         for r in p.reciprocals:
             low, high, least, most = _integers(r)
             b, result = r.b.text, r.r.text
-            reciprocals += lines_of(f"{FRAGMENTS}reciprocal.c", {
+            reciprocals.append({
                 "b": b, "lines": text[r.first : r.last], "r": result, "b_unit": repr(r.b.unit),
                 "r_unit": repr(r.r.unit), "error": repr(float(r.r.error)), "least": least, "most": most,
+                "low": low, "high": high,
             })  # fmt: skip
-            calls.append(f"for (int32_t b = {low}; b <= {high}; b++) {{ bad += wrong_{b}(b); divisors++; }}")
             eva[r.first : r.last] = [""] * (r.last - r.first)
             eva[r.last - 1] = f"const int32_t {result} = Frama_C_interval({least}, {most});"
         for c, (name, e) in p.outputs.items():
@@ -363,18 +315,10 @@ class IntegerBackend(Backend):
         alone = "range test, all bit patterns"
         read = "every angle, through all of the code" if self.reads_angle else alone
         tried = f"{alone}, and reciprocals, all divisors"
-        largest = max((int(abs(a.values).max()) << a.shift for a in p.arrays.values()), default=0)
         return {
-            "largest": largest,
-            "read": self.inputs[0].member,
-            "given": self.outputs[0].member,
-            "shift": "decoupler_params.shift" if "shift" in p.unsigned else "0U",
+            "turned": max((int(abs(a.values).max()) << a.shift for a in p.arrays.values()), default=0),
             "reciprocals": reciprocals,
-            "divisor_tests": calls,
             "tried": read if p.angles else tried if p.reciprocals else alone,
-            "as_proved": "" if p.angles else ", reciprocals as proved",
-            "outputs_proved": "" if p.angles else ", outputs within the stated bounds",
-            "upper": helpers(p),
             "eva_lines": [line for line in eva if line],
         }
 

@@ -12,7 +12,6 @@ from hallsym.codegen.decoupler import AGREEMENT, ROOT, Decoupler, Step, short, u
 from hallsym.codegen.float_c import straight
 from hallsym.codegen.operations import Operation, graph
 from hallsym.codegen.residual import LEAST, SUM
-from hallsym.codegen.templates import lines_of
 from hallsym.errors import InputError
 from hallsym.model import Model
 
@@ -104,7 +103,6 @@ class AngleTable:
         return UNIT * (self.wide * 2.0 ** (self.shift - FINE) + 2)
 
 
-FRAGMENTS = "q31/fragments/"
 LARGEST = 2**31 - 128
 """Largest integer of a value or an end of a range: the largest float below 2^31, where conversions end."""
 UNSIGNED = ("angle", "turn")
@@ -269,44 +267,6 @@ class Program:
             kind = "uint32_t" if line.operation in UNSIGNED else "int32_t"
             out.append(f"const {kind} {line.name} = {text(a, b, line.i, line.j)};")
         return out
-
-
-def helpers(program: Program) -> list[str]:
-    """Return the C functions that the lines of a program call."""
-    lines = {line.operation: line for line in program.lines}
-    called = lines_of(f"{FRAGMENTS}wrapping.c", {})
-    for operation, name in (("left", "scaled"), ("mul", "upper"), ("bounded", "bounded")):
-        called += lines_of(f"{FRAGMENTS}{name}.c", {}) if operation in lines else []
-    if "angle" in lines:
-        steps = lines["angle"].i
-        angles = [f"{t}U" for t in ARCTANGENTS[:steps]]
-        rows = [", ".join(angles[k : k + 8]) for k in range(0, steps, 8)]
-        fields: dict[str, Any] = {"steps": steps, "arctangents": ",\n        ".join(rows)}
-        called += lines_of(f"{FRAGMENTS}angle_of.c", fields)
-    for array in program.arrays.values():
-        called += _look_up(array)
-    return called
-
-
-def _look_up(array: AngleTable) -> list[str]:
-    fine, count = FINE, len(array.values)
-    left, right = f"p->{array.name}[cell]", f"p->{array.name}[(cell + 1U) & {count - 1}U]"
-    if array.bits == 16:
-        left, right = f"(int32_t){left}", f"(int32_t){right}"
-        scaled = f"left * {1 << array.shift}" if array.shift else "left"
-        moved = f"(rise * rest) >> {fine - array.shift}" if array.shift < fine else "rise * rest"
-        between = [f"return sum({scaled}, {moved});"]
-    else:
-        between = [
-            f"const uint32_t rise_bits = (uint32_t)rise & 0x{2**fine - 1:X}U;",
-            "const int32_t rise_low = (int32_t)rise_bits;",
-            f"return sum(left, sum((rise >> {fine}) * rest, (rise_low * rest) >> {fine}));",
-        ]
-    return lines_of(f"{FRAGMENTS}look_up.c", {
-        "name": array.name, "count": count, "kind": f"int{array.bits}_t", "first": array.first,
-        "finer": array.first - fine, "way": f"0x{2**fine - 1:X}", "left": left, "right": right,
-        "between": between,
-    })  # fmt: skip
 
 
 ROOM = 30

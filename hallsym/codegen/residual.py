@@ -534,27 +534,18 @@ def without_reading(once: Once, clamped: np.ndarray, samples: Any, reading: int,
     return found
 
 
-def fields_of(d: Decoupler, fragment: Callable[[str, Mapping[str, Any]], list[str]]) -> dict[str, Any]:
-    """Return the fields of the templates of the suspect; `fragment` fills one in."""
+def fields_of(d: Decoupler) -> dict[str, Any]:
+    """Return what templates say of the suspect: `numbers` of readings, in groups that begin at `starts`."""
     known = [w.readings for w in d.watched if w.readings]
     several = d.mends and max(map(len, known)) > 1
-    known = known if several else [readings[:1] for readings in known]
-    numbers = [i + 1 for readings in known for i in readings]
-    starts = ", ".join(map(str, np.cumsum([0, *map(len, known)])))
-    flags = sum(flag_bit(k) for k in range(len(d.flags)))
-    bits = {
-        "input_bits": f"0x{(flag_bit(len(d.flags) + d.mends - 1) - 1):08X}UL",
-        "flag_bits": f"0x{flags:08X}UL",
-    }
+    groups = known if several else [readings[:1] for readings in known]
     return {
+        "several": several,
         "named": len(known),
-        "count": len(numbers),
-        "numbers": ", ".join(map(str, numbers)),
-        "starts": [f"static const uint8_t first[{len(known) + 1}] = {{{starts}}};"] if several else [],
-        "of_suspect": "first[k]" if several else "k",
-        "number_type": "uint8_t" if max(numbers) < 256 else "uint16_t",
+        "numbers": [i + 1 for readings in groups for i in readings],
+        "starts": np.cumsum([0, *map(len, groups)]).tolist(),
         "secants": SECANTS,
-        "in_parameter": "const decoupler_in_t *in, " if d.mends else "",
-        "in_argument": "in, " if d.mends else "",
-        "mend": fragment("mend_least.c" if several else "mend.c", bits) if d.mends else [],
+        "nudged": NUDGED,
+        "input_bits": flag_bit(len(d.flags) + d.mends - 1) - 1,
+        "flag_bits": sum(flag_bit(k) for k in range(len(d.flags))),
     }

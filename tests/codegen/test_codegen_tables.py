@@ -115,7 +115,7 @@ def test_an_accepted_table_gives_numbers(case, tmp_path):
     far = "2e9" if integers else "1e30"
     low, high = (", ".join(f"{v!r}" for v in side[:, 0].tolist()) for side in backend.span)
     fields = {
-        "ENDS": ", ".join(f"{{{', '.join(backend._ends_in_c(e))}}}" for e in backend.numbers),
+        "ENDS": ", ".join(f"{{{', '.join(backend.ends_in_c(e))}}}" for e in backend.numbers),
         "TABLES": f"{TABLES}U", "INPUTS": f"{len(backend.inputs)}U", "LOW": low, "HIGH": high,
         "VALUE": backend.inputs[0].type, "FAR": far,
         "LEAST": "0" if backend.inputs[0].type == "uint32_t" else f"-{far}",

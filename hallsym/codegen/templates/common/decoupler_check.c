@@ -3,13 +3,43 @@
 
 #include <stddef.h>
 
-{{ ieee }}
+{% include b.tree ~ "/fragments/ieee.c" ignore missing %}
 
-{{ crc }}
-{{ number_at }}
+{% include "common/fragments/crc.c" %}
+{% if ends %}
+
+#define NUMBERS ((uint32_t)offsetof(decoupler_params_t, {{ ends.first }}))
+#define ZEROS_LESS (ZEROS - {{ ends.limits_to }}U) /* so that the zeros are counted on from the limits */
+
+typedef struct
+{
+    {{ ends.number }} least;
+    {{ ends.number }} greatest;
+} ends_t;
+
+static {{ ends.number }} number(const uint8_t *bytes)
+{
+    union
+    {
+        {{ ends.number }} value;
+        uint8_t bytes[{{ ends.size }}];
+    } found;
+    for (uint32_t k = 0U; k < {{ ends.size }}U; k++)
+    {
+        found.bytes[k] = bytes[k];
+    }
+    return found.value;
+}
+
+{% endif %}
 uint32_t decoupler_check(const decoupler_params_t *p)
 {
-    {{ ends_listed }}
+{% if ends %}
+    /* {{ b.why_ends }} */
+    static const ends_t ends[{{ ends.listed | length }}] = {
+        {{ ends.listed }}
+    };
+{% endif %}
     const uint8_t *bytes = (const uint8_t *)p;
     uint32_t found = 0U;
     if (p->version != DECOUPLER_VERSION)
@@ -28,8 +58,28 @@ uint32_t decoupler_check(const decoupler_params_t *p)
     {
         found |= DECOUPLER_BAD_ZEROS;
     }
-    {{ beyond_ends }}
-    {{ rows_outside }}
-    {{ check_limits }}
+{% if ends %}
+    for (uint32_t k = 0U; k < {{ ends.listed | length }}U; k++)
+    {
+        const {{ ends.number }} value = number(&bytes[(k * {{ ends.size }}U) + {{ ends.place }}]);
+        if (!((value >= ends[k].least) && (value <= ends[k].greatest)))
+        {
+            found |= {{ ends.kind }};
+        }
+    }
+{% endif %}
+{% for e in b.rows %}
+    for (uint32_t k = 0U; k < {{ e.values | length }}U; k++)
+    {
+        found |= ((p->{{ e.name }}[k] >= {{ b.ends_in_c(e)[0] }}) && (p->{{ e.name }}[k] <= {{ b.ends_in_c(e)[1] }})) ? 0U : DECOUPLER_BAD_NUMBER;
+    }
+{% endfor %}
+{% set filled = inputs | selectattr("limited") | rejectattr("symmetric") | map(attribute="filled") | join(" && ") %}
+{% if filled %}
+    if (!({{ filled }}))
+    {
+        found |= DECOUPLER_BAD_LIMITS;
+    }
+{% endif %}
     return found;
 }

@@ -3,5 +3,15 @@
 #include "decoupler_params.h"
 
 const decoupler_params_t decoupler_params = {
-{{ values }}
+    .crc = {{ b.crc | mask }},
+    .version = {{ version }}UL,
+    .layout = {{ b.layout | mask }},
+    .length = {{ b.length }}UL,
+    .calibration = {{ b.identity | map("mask") | join(", ") | braced }},
+{{ b.listed(b.constant) }}
+    .zeros_crc = {{ b.zeros_crc | mask }},
+{% if b.pad %}
+    .reserved = 0UL,
+{% endif %}
+{{ b.listed(b.offsets) }}
 };

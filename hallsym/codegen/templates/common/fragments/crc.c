@@ -1,7 +1,7 @@
 #define LENGTH ((uint32_t)sizeof(decoupler_params_t))
 #define COVERED ((uint32_t)offsetof(decoupler_params_t, version))
 #define ZEROS_CRC ((uint32_t)offsetof(decoupler_params_t, zeros_crc))
-#define ZEROS ((uint32_t)offsetof(decoupler_params_t, {{ first_zero }}))
+#define ZEROS ((uint32_t)offsetof(decoupler_params_t, {{ b.offsets[0].name }}))
 
 uint32_t decoupler_crc(const uint8_t *bytes, uint32_t count) /* IEEE 802.3, bit by bit */
 {

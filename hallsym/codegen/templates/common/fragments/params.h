@@ -6,8 +6,14 @@ typedef struct
     uint32_t layout; /**< DECOUPLER_LAYOUT */
     uint32_t length; /**< [byte] of the table */
     uint32_t calibration[2]; /**< first 8 bytes of the SHA-256 of the calibration */
-    {{ table }}
+{% for e in b.constant %}
+    {{ e.member }}
+{% endfor %}
     uint32_t zeros_crc; /**< CRC-32 of the zeros */
-    {{ reserved }}
-    {{ zeros }}
+{% if b.pad %}
+    uint32_t reserved; /**< 0 */
+{% endif %}
+{% for e in b.offsets %}
+    {{ e.member }}
+{% endfor %}
 } decoupler_params_t;

@@ -1,11 +1,11 @@
 uint32_t decoupler_step(const decoupler_params_t *p, const decoupler_in_t *in, decoupler_out_t *out)
 {
-    {{ real }} left[{{ watched }}];
+    {{ real }} left[{{ d.watched | length }}];
     uint32_t status = pose_of(p, in, left, out);
     out->suspect = 0U;
-    if ({{ fault }})
+    if ({{ "UNLIKELY((" if b.tree == "float" else "(" }}status & DECOUPLER_STATUS_FAULT) != 0U{{ ")" if b.tree == "float" }})
     {
-        status = suspected(p, {{ in_argument }}status, left, out);
+        status = suspected(p, {{ "in, " if d.mends }}status, left, out);
     }
     return status;
 }

@@ -1,4 +1,4 @@
-{{ converts }}
+{% include b.tree ~ "/fragments/in_32_bits.c" ignore missing %}
 /* Decode with the value of one reading at which nothing is left of it: along the line through two. */
 static uint32_t without(const decoupler_params_t *p, const decoupler_in_t *in, uint32_t k, uint32_t number,
                         {{ real }} *left, decoupler_out_t *out)
@@ -13,7 +13,7 @@ static uint32_t without(const decoupler_params_t *p, const decoupler_in_t *in, u
 {% for i in inputs %}
     given.{{ i.member }} = in->{{ i.member }};
 {% endfor %}
-    for (uint32_t n = 0U; n < {{ secants }}U; n++)
+    for (uint32_t n = 0U; n < {{ suspects.secants }}U; n++)
     {
         const uint8_t *own = (const uint8_t *)&value;
         for (uint32_t b = 0U; b < (uint32_t)sizeof(value); b++)
@@ -22,14 +22,22 @@ static uint32_t without(const decoupler_params_t *p, const decoupler_in_t *in, u
         }
         status = pose_of(p, &given, left, out);
         const {{ real }} now = left[k];
-        {{ wide }} step = {{ first }};
+{% if b.tree == "float" %}
+        {{ real }} step = now;
+{% else %}
+        int64_t step = -{{ suspects.nudged }};
+{% endif %}
         if (n > 0U)
         {
-            step = {{ along }};
+{% if b.tree == "float" %}
+            step = ((now < last) || (now > last)) ? ((now * (value - before)) / (now - last)) : {{ zero }};
+{% else %}
+            step = (now == last) ? 0 : ((now * ((int64_t)value - before)) / ((int64_t)now - last));
+{% endif %}
         }
         before = value;
         last = now;
-        value = {{ moved }};
+        value = {{ "value - step" if b.tree == "float" else "in_32_bits((int64_t)value - step)" }};
     }
     return status;
 }

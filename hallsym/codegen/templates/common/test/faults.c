@@ -2,7 +2,10 @@
 /* Faults of a table, each by itself, that decoupler_check() must find. */
 #include "selftest.h"
 
-{{ fault_includes }}
+{% if b.tree == "float" %}
+#include <float.h>
+#include <math.h>
+{% endif %}
 #include <stddef.h>
 
 #include "decoupler.h"
@@ -11,7 +14,7 @@
 #define LENGTH ((uint32_t)sizeof(decoupler_params_t))
 #define COVERED ((uint32_t)offsetof(decoupler_params_t, version))
 #define ZEROS_CRC ((uint32_t)offsetof(decoupler_params_t, zeros_crc))
-#define ZEROS ((uint32_t)offsetof(decoupler_params_t, {{ first_zero }}))
+#define ZEROS ((uint32_t)offsetof(decoupler_params_t, {{ b.offsets[0].name }}))
 
 /* Any bit that turns: of a long table every 61st, and all of its ends. */
 static uint32_t missed_bits(void)

@@ -38,6 +38,6 @@ uint32_t decoupler_missed_zeros(void);
 uint32_t decoupler_hash(uint32_t count);
 
 extern const uint32_t decoupler_hash_short; /**< expected of decoupler_hash(4096) */
-extern const uint32_t decoupler_hash_long;  /**< expected of decoupler_hash({{ hashed }}) */
+extern const uint32_t decoupler_hash_long;  /**< expected of decoupler_hash({{ b.hashed[1] }}) */
 
 #endif /* DECOUPLER_SELFTEST_H */

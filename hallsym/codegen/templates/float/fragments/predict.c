@@ -1,9 +1,20 @@
+{% macro around(o, text) %}
+{{ "around(" ~ text ~ ", " ~ o.period ~ ")" if o.column in d.model.period else text }}
+{%- endmacro %}
+{% set usable = "(status == 0U) || (status == DECOUPLER_STATUS_DEGRADED)" if d.mends else "status == 0U" %}
 
 static {{ real }} slower({{ real }} speed, {{ real }} most)
 {
     return (speed > most) ? most : ((speed < -most) ? -most : speed);
 }
-{{ around }}
+{% if d.model.period %}
+
+static {{ real }} around({{ real }} value, {{ real }} period)
+{
+    const {{ real }} half = period * {{ of_half }};
+    return (value > half) ? (value - period) : ((value < -half) ? (value + period) : value);
+}
+{% endif %}
 
 void decoupler_track(const decoupler_params_t *p, decoupler_track_t *track, const decoupler_out_t *pose,
                      uint32_t status, {{ real }} dt)
@@ -15,11 +26,17 @@ void decoupler_track(const decoupler_params_t *p, decoupler_track_t *track, cons
     }
     if (track->samples > 0U)
     {
-        {{ ahead_of }}
+{% for o in outputs %}
+        track->{{ o.member }} = {{ around(o, "track->" ~ o.member ~ " + (track->speed_" ~ o.name ~ " * dt)") }};
+{% endfor %}
         track->gap = gap;
         if ({{ usable }})
         {
-            {{ updated }}
+{% for o in outputs %}
+            const {{ real }} off_{{ o.name }} = {{ around(o, "pose->" ~ o.member ~ " - track->" ~ o.member) }};
+            track->{{ o.member }} = {{ around(o, "track->" ~ o.member ~ " + (p->observer_position * off_" ~ o.name ~ ")") }};
+            track->speed_{{ o.name }} = slower(track->speed_{{ o.name }} + (p->observer_speed * off_{{ o.name }}), p->fastest_{{ o.name }});
+{% endfor %}
             track->gap = {{ zero }};
             track->samples += (track->samples < 0xFFFFFFFFUL) ? 1U : 0U;
         }
@@ -51,6 +68,11 @@ uint32_t decoupler_predict(const decoupler_params_t *p, const decoupler_track_t 
         time = {{ zero }};
         status |= DECOUPLER_PREDICT_AHEAD;
     }
-    {{ predicted }}
+{% for o in outputs %}
+    pose->{{ o.member }} = {{ around(o, "track->" ~ o.member ~ " + (track->speed_" ~ o.name ~ " * time)") }};
+{% endfor %}
+{% if d.suspects %}
+    pose->suspect = 0U;
+{% endif %}
     return status;
 }

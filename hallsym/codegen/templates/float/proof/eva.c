@@ -11,7 +11,17 @@ static void every_table(void)
     decoupler_params_t table = decoupler_params;
     decoupler_in_t in;
     decoupler_out_t out;
-    {{ every_table }}
+{% for e in b.entries %}
+{% set kind = "" if e.values.dtype.kind == "i" else real ~ "_" %}
+{% if e.values.ndim %}
+    for (uint32_t k = 0U; k < {{ e.values | length }}U; k++)
+    {
+        table.{{ e.name }}[k] = Frama_C_{{ kind }}interval({{ b.ends_in_c(e) | join(", ") }});
+    }
+{% else %}
+    table.{{ e.name }} = Frama_C_{{ kind }}interval({{ b.ends_in_c(e) | join(", ") }});
+{% endif %}
+{% endfor %}
 {% for i in inputs %}
     in.{{ i.member }} = Frama_C_{{ real }}_interval(-{{ i.far }}, {{ i.far }});
 {% endfor %}
@@ -31,6 +41,10 @@ int main(void)
 {% for o in outputs %}
     //@ assert {{ o.name }}_bounded: {{ o.outer_low }} <= out.{{ o.member }} <= {{ o.outer_high }};
 {% endfor %}
-    {{ eva_slopes }}
+{% if slopes %}
+    decoupler_jacobian_t slopes;
+    const uint32_t slope_status = decoupler_jacobian(&decoupler_params, &in, &slopes);
+    //@ assert slope_status_zero: slope_status == 0;
+{% endif %}
     return (int)status;
 }

@@ -10,19 +10,19 @@
 
 int main(void)
 {
-    const int64_t most = {{ largest }};
+    const int64_t most = {{ turned }};
     unsigned long bad = 0UL;
     decoupler_in_t in;
     decoupler_out_t out;
-    in.{{ read }} = 0U;
+    in.{{ inputs[0].member }} = 0U;
     do
     {
         const uint32_t status = decoupler_step(&decoupler_params, &in, &out);
-        const uint32_t moved = out.{{ given }} - in.{{ read }} - {{ shift }};
+        const uint32_t moved = out.{{ outputs[0].member }} - in.{{ inputs[0].member }} - {{ "decoupler_params.shift" if "shift" in b.program.unsigned else "0U" }};
         const int64_t by = (moved < 0x80000000U) ? (int64_t)moved : ((int64_t)moved - 4294967296);
         bad += ((status == 0U) && (by <= most) && (by >= -most)) ? 0UL : 1UL;
-        in.{{ read }}++;
-    } while (in.{{ read }} != 0U);
+        in.{{ inputs[0].member }}++;
+    } while (in.{{ inputs[0].member }} != 0U);
     (void)printf("exhaustive: %lu of 2^32 angles fail\n", bad);
     return (bad == 0UL) ? 0 : 1;
 }

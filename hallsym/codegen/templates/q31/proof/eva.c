@@ -8,7 +8,7 @@
 #include "decoupler.h"
 #include "decoupler_params.h"
 
-{{ upper }}
+{% include "q31/fragments/helpers.c" %}
 int main(void)
 {
 {% for i in inputs %}

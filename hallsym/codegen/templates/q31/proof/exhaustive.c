@@ -8,7 +8,17 @@
 #include "../decoupler.c"
 #include "decoupler_params.h"
 
-{{ reciprocals }}
+{% for r in reciprocals %}
+static unsigned long wrong_{{ r.b }}(int32_t {{ r.b }})
+{
+    {{ r.lines }}
+    const double share = ((double){{ r.b }} * {{ r.b_unit }}) * ((double){{ r.r }} * {{ r.r_unit }});
+    const double off = ((share > 1.0) ? (share - 1.0) : (1.0 - share)) / ((double){{ r.b }} * {{ r.b_unit }});
+    const double size = (off < 0.0) ? -off : off;
+    return ((size <= {{ r.error }}) && ({{ r.r }} >= {{ r.least }}) && ({{ r.r }} <= {{ r.most }})) ? 0UL : 1UL;
+}
+
+{% endfor %}
 static unsigned long all_limited(int32_t low, int32_t high)
 {
     unsigned long bad = 0UL;
@@ -31,10 +41,12 @@ int main(void)
 {
     unsigned long bad = 0UL;
     unsigned long divisors = 0UL;
-{% for i in limited %}
+{% for i in inputs if i.limited %}
     bad += all_limited({{ i.least }}, {{ i.greatest }});
 {% endfor %}
-    {{ divisor_tests }}
+{% for r in reciprocals %}
+    for (int32_t b = {{ r.low }}; b <= {{ r.high }}; b++) { bad += wrong_{{ r.b }}(b); divisors++; }
+{% endfor %}
     (void)printf("exhaustive: %lu of {{ inputs | length }} x 2^32 bit patterns and %lu divisors fail\n", bad, divisors);
     return (bad == 0UL) ? 0 : 1;
 }

@@ -14,14 +14,14 @@ else
     echo "{{ tried }}: not run (needs a C compiler)"
 fi
 
-if {{ if_evident }}command -v frama-c >/dev/null; then
+if {{ "" if d.evident else "[ -f proof/eva.c ] && " }}command -v frama-c >/dev/null; then
     if frama-c -eva -eva-precision 3 -machdep gcc_x86_64 \
         -cpp-extra-args="$include" proof/eva.c decoupler_params.c >build/eva.log 2>&1 &&
         grep -q "^  0 alarms generated" build/eva.log && grep -q "100% of the logical properties" build/eva.log; then
-        echo "Frama-C EVA, inputs in the box{{ as_proved }}: proved (0 alarms{{ outputs_proved }})"
+        echo "Frama-C EVA, inputs in the box{{ "" if b.program.angles else ", reciprocals as proved" }}: proved (0 alarms{{ "" if b.program.angles else ", outputs within the stated bounds" }})"
     else
-        echo "Frama-C EVA, inputs in the box{{ as_proved }}: FAILED (build/eva.log)"
+        echo "Frama-C EVA, inputs in the box{{ "" if b.program.angles else ", reciprocals as proved" }}: FAILED (build/eva.log)"
     fi
 else
-    echo "Frama-C EVA, inputs in the box{{ as_proved }}: not run ({{ why_no_eva }})"
+    echo "Frama-C EVA, inputs in the box{{ "" if b.program.angles else ", reciprocals as proved" }}: not run ({{ "frama-c is not installed" if d.evident else "it relates no two values, as this code needs" }})"
 fi

@@ -7,7 +7,7 @@
 typedef struct
 {
     decoupler_in_t in;
-    double pose[{{ pose }}];
+    double pose[{{ d.pose | length }}];
     uint32_t status;
 } vector_t;
 
@@ -44,11 +44,13 @@ uint32_t decoupler_hash(uint32_t count)
         decoupler_in_t in;
         decoupler_out_t out;
         sample(n, &in);
-        total += mix(decoupler_step(&decoupler_params, &in, &out) ^ mix(n * {{ width }}U));
+        total += mix(decoupler_step(&decoupler_params, &in, &out) ^ mix(n * {{ b.width }}U));
 {% for o in outputs %}
-        total += mix((uint32_t)out.{{ o.member }} ^ mix((n * {{ width }}U) + {{ o.number }}U));
+        total += mix((uint32_t)out.{{ o.member }} ^ mix((n * {{ b.width }}U) + {{ o.number }}U));
 {% endfor %}
-        {{ hash_suspect }}
+{% if d.suspects %}
+        total += mix(out.suspect ^ mix((n * {{ b.width }}U) + {{ b.width - 1 }}U));
+{% endif %}
     }
     return total;
 }
@@ -66,7 +68,12 @@ static uint32_t differs(double value, double wanted, double bound, double *worst
 decoupler_selftest_t decoupler_selftest(void)
 {
     decoupler_selftest_t result = {0U, 0U, 0.0};
-    {{ strict }}
+{% if d.flags %}
+    decoupler_params_t strict = decoupler_params;
+{% for f in d.flags %}
+    strict.{{ f.least }} = {{ most }};
+{% endfor %}
+{% endif %}
     for (uint32_t k = 0U; k < DECOUPLER_VECTORS; k++)
     {
         const vector_t *wanted = &decoupler_vectors[k];
@@ -75,7 +82,9 @@ decoupler_selftest_t decoupler_selftest(void)
 {% for o in outputs %}
         failed |= differs((double)out.{{ o.member }} * {{ o.scale }}, wanted->pose[{{ o.index }}], decoupler_bounds[{{ o.index }}], &result.worst);
 {% endfor %}
-        {{ raised }}
+{% if d.flags %}
+        failed |= (decoupler_step(&strict, &wanted->in, &out) == ({{ "(wanted->status & ~DECOUPLER_STATUS_DEGRADED)" if d.mends else "wanted->status" }} | {{ d.flags | map(attribute="name") | map("status_bit") | join(" | ") }})) ? 0U : 1U;
+{% endif %}
         result.vectors++;
         result.failures += failed;
     }
@@ -84,8 +93,10 @@ decoupler_selftest_t decoupler_selftest(void)
 
 uint32_t decoupler_missed_zeros(void)
 {
-    static const decoupler_out_t known[{{ known_poses }}] = {
-        {{ known_rows }}
+    static const decoupler_out_t known[{{ known | length }}] = {
+{% for row in known %}
+        {{ (row + ["0U"] if d.suspects else row) | join(", ") | braced }},
+{% endfor %}
     };
     uint32_t bad = 0U;
     for (uint32_t k = 0U; k < DECOUPLER_VECTORS; k++)
@@ -93,7 +104,7 @@ uint32_t decoupler_missed_zeros(void)
         const decoupler_in_t *in = &decoupler_vectors[k].in;
         decoupler_params_t table = decoupler_params;
         decoupler_out_t out;
-        for (uint32_t n = 0U; n < {{ known_poses }}U; n++)
+        for (uint32_t n = 0U; n < {{ known | length }}U; n++)
         {
             const uint32_t status = decoupler_zero(&table, in, &known[n]);
             (void)decoupler_step(&table, in, &out);
@@ -112,7 +123,17 @@ uint32_t decoupler_missed_zeros(void)
 {% endfor %}
             }
         }
-        {{ refused }}
+{% if far %}
+        decoupler_out_t pose = {0};
+{% endif %}
+{% for member, values in far.items() %}
+{% for value in values %}
+        pose.{{ member }} = {{ value }};
+{% if not loop.last %}
+        bad += (decoupler_zero(&table, in, &pose) == DECOUPLER_STATUS_KNOWN) ? 0U : 1U;
+{% endif %}
+{% endfor %}
+{% endfor %}
     }
     return bad;
 }

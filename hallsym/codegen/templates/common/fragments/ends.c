@@ -1,4 +1,0 @@
-/* {{ why_ends }} */
-static const ends_t ends[{{ ranges }}] = {
-    {{ ends }}
-};

@@ -1,1 +1,0 @@
-(void)memcpy(&value, &raw, sizeof(value));
