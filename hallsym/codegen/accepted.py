@@ -15,10 +15,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.bounds import LEAST_GAIN, enclosed_steps
+from hallsym.codegen.bounds import LEAST_GAIN, enclosed_step
 from hallsym.codegen.decoupler import Decoupler, Margin, Whole, short
 from hallsym.codegen.intervals import Enclosure, enclose
-from hallsym.codegen.operations import Graph, graph
 from hallsym.errors import InputError
 
 Ends = Mapping[str, tuple[float, float]]
@@ -67,11 +66,10 @@ def accepted(d: Decoupler, most: float) -> dict[str, tuple[float, float]]:
 
 def any_accepted(d: Decoupler, most: float) -> dict[str, tuple[float, float]] | None:
     """Return the widest ends of which all steps give less than the largest number `most`, if any do."""
-    graphs = [graph([step.expression]) for step in d.steps]
     for sizes, powers in ((_by_unit(d), WIDE), (_by_form(d), (*WIDE, *NARROW)), (None, NARROW)):
         for power in powers:
             found = _within(d, 2.0**power, sizes)
-            if finite(d, found, most, graphs):
+            if finite(d, found, most):
                 return found
     return None
 
@@ -199,8 +197,8 @@ def _rounded(value: float, to: Callable[[float], int], digits: int) -> float:
     return float(f"{to(value / 10.0**power)}e{power}")
 
 
-def finite(d: Decoupler, ends: Ends, most: float, graphs: Sequence[Graph]) -> bool:
-    """Whether all steps, of these graphs, give numbers of less than `most` of every table within `ends`."""
+def finite(d: Decoupler, ends: Ends, most: float) -> bool:
+    """Whether all steps give numbers of less than `most` of every table within `ends`."""
     known = {name: Enclosure(*pair) for name, pair in ends.items()}
     for column in d.inputs:
         name = short(column)
@@ -209,7 +207,9 @@ def finite(d: Decoupler, ends: Ends, most: float, graphs: Sequence[Graph]) -> bo
             known[name] = Enclosure(-high, high)
         else:
             known[name] = Enclosure(ends[f"low_{name}"][0], ends[f"high_{name}"][1])
-    for step, every, found in enclosed_steps(d.steps, graphs, known):
+    for step in d.steps:
+        every = enclosed_step(step, known)
+        found = known[step.name]
         if isinstance(step, Whole) and not (found.low > -1 and found.high < 2.0**32):
             return False
         if step.most is not None:  # the value alone may be more

@@ -1,6 +1,6 @@
 """What can be said of the arithmetic over the whole box: least gains, size of the pose, rounding."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import prod
 from typing import Any
@@ -8,9 +8,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.decoupler import Bits, Decoupler, Lookup, Step, Whole, computed, of_step, short
+from hallsym.codegen.decoupler import Bits, Decoupler, Lookup, Step, Whole, run_step, short
 from hallsym.codegen.intervals import EXACT, TINY, Enclosure, constant, enclosures
-from hallsym.codegen.operations import Graph, Operation, graph
+from hallsym.codegen.operations import Graph, Operation
 
 LEAST_GAIN = 0.1
 """Share of its gain at rest below which a probe must not fall within the box."""
@@ -61,27 +61,26 @@ Entries are sums of a few products of the inverse of a well-conditioned matrix; 
 
 def enclosed(d: Decoupler, steps: Sequence[Step], digits: int) -> list[Enclosure]:
     """Return the enclosure of each step over the box; errors count those of the table."""
-    graphs = [graph([step.expression]) for step in steps]
-    return [found for _, _, found in enclosed_steps(steps, graphs, given_of(d, digits), digits)]
+    known = given_of(d, digits)
+    for step in steps:
+        enclosed_step(step, known, digits)
+    return [known[step.name] for step in steps]
 
 
-def enclosed_steps(
-    steps: Sequence[Step], graphs: Sequence[Graph], known: dict[str, Enclosure], digits: int | None = None
-) -> Iterator[tuple[Step, list[Enclosure], Enclosure]]:
-    """Yield steps, the enclosures of their operations and of their values; add these to those `known`.
+def enclosed_step(step: Step, known: dict[str, Enclosure], digits: int | None = None) -> list[Enclosure]:
+    """Add the enclosure of a step to those by symbol; returns those of its operations.
 
     A row that is looked up, and bits, are anything that they can be.
     """
-    for step, own in zip(steps, graphs, strict=True):
-        if isinstance(step, Lookup):
-            every, found = [], known[step.array.name]
-        else:
-            every = enclosures(own, known, digits)
-            found = every[own.results[0]]
-        if isinstance(step, Bits):
-            found = Enclosure(0.0, float((1 << step.first) - 1 if step.below else (2**32 - 1) >> step.first))
-        known[step.name] = found
-        yield step, every, found
+    if isinstance(step, Lookup):
+        known[step.name] = known[step.array.name]
+        return []
+    every = enclosures(step.graph, known, digits)
+    found = every[step.graph.results[0]]
+    if isinstance(step, Bits):
+        found = Enclosure(0.0, float((1 << step.first) - 1 if step.below else (2**32 - 1) >> step.first))
+    known[step.name] = found
+    return every
 
 
 def given_of(d: Decoupler, digits: int) -> dict[str, Enclosure]:
@@ -115,21 +114,20 @@ def _errors_by_cells(d: Decoupler, digits: int) -> np.ndarray:
         later = {step.name for step in d.steps[k:]}
         crossing.append(sorted(set().union(*reads[k:]) - later))
     first = min(range(len(crossing)), key=lambda k: len(crossing[k]))
-    graphs = [graph([step.expression]) for step in d.steps]
-    for _ in enclosed_steps(d.steps[:first], graphs[:first], given, digits):
-        pass
-    steps, graphs, names = d.steps[first:], graphs[first:], crossing[first]
+    for step in d.steps[:first]:
+        enclosed_step(step, given, digits)
+    steps, names = d.steps[first:], crossing[first]
     before = {name: float(e.error) for name, e in given.items()}
 
     def bounded(low: np.ndarray, high: np.ndarray) -> np.ndarray:
         cell = zip(names, low, high, strict=True)
         known = given | {name: Enclosure(least, most, before[name]) for name, least, most in cell}
         worked = [
-            [Enclosure(v.low - v.error, v.high + v.error) for v in values]
-            for _, values, _ in enclosed_steps(steps, graphs, known, digits)
+            [Enclosure(v.low - v.error, v.high + v.error) for v in enclosed_step(step, known, digits)]
+            for step in steps
         ]
         with np.errstate(all="ignore"):  # what grows without end is bounded by nothing
-            return np.array(_errors(steps, graphs, worked, before, digits, len(d.pose)))
+            return np.array(_errors(steps, worked, before, digits, len(d.pose)))
 
     ends = np.array([[given[name].low, given[name].high] for name in names], dtype=float)
     low, high = _cut(ends[:, :1], ends[:, 1:], max(2, int(CELLS ** (1 / len(names)) + 1e-9)))
@@ -223,18 +221,14 @@ def rounding(
     `inputs` (s,) by symbol, exact; `entries`: numbers of the table; `digits`: of the significand.
     """
     known: Numbers = {**inputs, **entries}
-    graphs = [graph([step.expression]) for step in steps]
-    worked = []
-    for step, own in zip(steps, graphs, strict=True):
-        with np.errstate(all="ignore"):
-            worked.append(computed(own, known))
-            known[step.name] = of_step(step, own, worked[-1])
+    with np.errstate(all="ignore"):
+        worked = [run_step(step, known) for step in steps]
     stored = {name: float(constant(value, digits).error) for name, value in entries.items()}
     values, errors = (
         [np.broadcast_to(v, np.shape(next(iter(inputs.values())))) for v in found]
         for found in (
             [known[step.name] for step in steps[-last:]],
-            _errors(steps, graphs, worked, stored, digits, last),
+            _errors(steps, worked, stored, digits, last),
         )
     )
     return np.array(values), np.array(errors)
@@ -242,7 +236,6 @@ def rounding(
 
 def _errors(
     steps: Sequence[Step],
-    graphs: Sequence[Graph],
     worked: Sequence[list[Any]],
     before: Mapping[str, float],
     digits: int,
@@ -250,16 +243,16 @@ def _errors(
 ) -> list[Any]:
     """Return the rounding errors of the last steps.
 
-    `worked`: the values of each graph's operations, numbers (s,) or enclosures of s cells; `before`: what
+    `worked`: the values of each step's operations, numbers (s,) or enclosures of s cells; `before`: what
     symbols are off by that no step makes.
     """
     errors = []
     for step in steps[-last:]:
         adjoint: Numbers = {step.name: 1.0}
         total: Any = 0.0
-        for one, own, values in zip(reversed(steps), reversed(graphs), reversed(worked), strict=True):
+        for one, values in zip(reversed(steps), reversed(worked), strict=True):
             if one.name in adjoint and not isinstance(one, Whole):
-                total = total + _back(own, values, adjoint.pop(one.name), adjoint, digits)
+                total = total + _back(one.graph, values, adjoint.pop(one.name), adjoint, digits)
         for name, error in before.items():
             total = total + abs(adjoint.get(name, 0.0)) * error
         errors.append(total)

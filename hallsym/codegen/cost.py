@@ -6,7 +6,6 @@ import numpy as np
 
 from hallsym.codegen.decoupler import Bits, Box, Decoupler, Lookup, Whole, unit
 from hallsym.codegen.lowering import check_columns, lowered
-from hallsym.codegen.operations import graph
 from hallsym.model import Model
 
 TYPICAL = {"m": 5e-4, "rad": 5e-4, "degC": 10.0}
@@ -33,7 +32,7 @@ def firmware_cost(d: Decoupler) -> Cost:
     """Return the cost of a decoupler's arithmetic, range test and status apart."""
     operations, read = 0, set()
     for step in d.steps:
-        found = graph([step.expression])
+        found = step.graph
         operations += found.count + 3 * isinstance(step, Lookup) + isinstance(step, Whole | Bits)
         read |= {o.symbol for o in found.operations if o.op == "input"}
     entries = {e.name for e in (*d.table, *d.offsets)}

@@ -118,6 +118,11 @@ class Step:
     most: ca.SX | float | None = field(default=None, kw_only=True)
     """Magnitude, of entries, that the value does not exceed whatever it is computed from."""
 
+    @cached_property
+    def graph(self) -> Graph:
+        """The operations of its expression."""
+        return graph([self.expression])
+
 
 @dataclass(frozen=True, eq=False)
 class Whole(Step):
@@ -411,8 +416,6 @@ class Collected:
     steps: list[Step] = field(default_factory=list)
     named: set[str] = field(default_factory=set)
     """Names of entries and steps."""
-    graphs: dict[str, Graph] = field(default_factory=dict)
-    """Graphs of the steps that were run."""
 
     def begin(self, model: Model, inputs: Sequence[str]) -> None:
         """Add the symbols of inputs and offsets."""
@@ -487,13 +490,12 @@ def steps_on_arrays(d: Decoupler, real: type = float) -> Callable[..., list[np.n
     """
     names = [*d.inputs, *(e.name for e in (*d.table, *d.offsets))]
     symbols = [d.symbols[name].name() for name in names]
-    graphs = [(step, graph([step.expression])) for step in d.steps]
     results = [step.name for step in d.steps[-len(d.pose) :]]
 
     def run(inputs: Sequence, constants: Sequence) -> list[np.ndarray]:
         values = dict(zip(symbols, (*inputs, *constants), strict=True))
-        for step, found in graphs:
-            values[step.name] = of_step(step, found, computed(found, values, real), real)
+        for step in d.steps:
+            run_step(step, values, real)
         shape = np.broadcast_shapes(*(np.shape(row) for row in inputs))
         return [
             np.array([np.broadcast_to(values[name], shape) for name in group], dtype=real)
@@ -517,13 +519,19 @@ def computed(found: Graph, values: Mapping[str, Any], real: type = float) -> lis
     return made
 
 
-def of_step(step: Step, found: Graph, made: Sequence[Any], real: type = float) -> Any:
-    """Return what a step makes of the values of its graph; whole numbers and bits are exact in any type."""
-    value = made[found.results[0]]
+def run_step(step: Step, values: dict[str, Any], real: type = float) -> list[Any]:
+    """Add the value of a step to those by symbol; returns those of its operations.
+
+    Whole numbers and bits are exact in any type.
+    """
+    made = computed(step.graph, values, real)
+    value = made[step.graph.results[0]]
     if isinstance(step, Lookup):
         entries: np.ndarray = np.array(step.array.values, dtype=real)
-        return entries[(value.astype(np.int64) + step.ahead) % len(entries)]
-    return _whole(step, value, np.floor)
+        values[step.name] = entries[(value.astype(np.int64) + step.ahead) % len(entries)]
+    else:
+        values[step.name] = _whole(step, value, np.floor)
+    return made
 
 
 class Trial:
@@ -543,10 +551,7 @@ class Trial:
         self.values |= {e.name: e.value for e in made.table}
         with np.errstate(all="ignore"):
             for step in made.steps[self.done :]:
-                if step.name not in made.graphs:
-                    made.graphs[step.name] = graph([step.expression])
-                own = made.graphs[step.name]
-                self.values[step.name] = of_step(step, own, computed(own, self.values))
+                run_step(step, self.values)
         self.done = len(made.steps)
         return np.array(np.broadcast_arrays(*(self.values[n] for n in names)))
 

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen.decoupler import Bits, Lookup, Step, Whole
-from hallsym.codegen.operations import BRANCHES, TESTS, Operation, graph
+from hallsym.codegen.operations import BRANCHES, TESTS, Operation
 from hallsym.errors import InputError
 from hallsym.output import commented
 
@@ -86,8 +86,7 @@ def statements(
 
 def _text(step: Step, names: Mapping[str, str], real: Real) -> tuple[list[str], str]:
     """Return statements of the values that a step uses twice, and its text."""
-    found = graph([step.expression])
-    operations = found.operations
+    found, operations = step.graph, step.graph.operations
     uses = Counter(k for o in operations for k in o.args)
     uses.update(found.results)
     before: list[str] = []
@@ -121,7 +120,7 @@ def _choice(o: Operation, operations: Sequence[Operation], text: Sequence[str]) 
 
 def straight(steps: Sequence[Step]) -> bool:
     """Whether steps hold arithmetic and magnitudes only: no comparison or choice."""
-    return not any(o.op in BRANCHES - {"fabs"} for step in steps for o in graph([step.expression]).operations)
+    return not any(o.op in BRANCHES - {"fabs"} for step in steps for o in step.graph.operations)
 
 
 _SIGNS = {"add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<="}

@@ -10,7 +10,7 @@ import numpy as np
 
 from hallsym.codegen.decoupler import AGREEMENT, ROOT, Decoupler, Step, short, unit
 from hallsym.codegen.float_c import straight
-from hallsym.codegen.operations import Operation, graph
+from hallsym.codegen.operations import Operation
 from hallsym.codegen.residual import LEAST, SUM
 from hallsym.errors import InputError
 from hallsym.model import Model
@@ -449,12 +449,11 @@ class Compiler:
         return self._checked(Fixed(name, e, value, value, abs(value - q * 2.0**-e)))
 
     def _step(self, step: Step, known: Mapping[str, Fixed]) -> Fixed:
-        found = graph([step.expression])
         made: list[Fixed] = []
-        for o in found.operations:
+        for o in step.graph.operations:
             given = o.op == "input"
             made.append(known[o.symbol] if given else self._operation(o, [made[k] for k in o.args]))
-        return made[found.results[0]]
+        return made[step.graph.results[0]]
 
     def _operation(self, operation: Operation, args: Sequence[Fixed]) -> Fixed:
         if operation.op in ("mul", "sq"):
