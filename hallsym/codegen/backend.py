@@ -8,7 +8,7 @@ import struct
 import textwrap
 import zlib
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import version
@@ -147,8 +147,8 @@ class Backend(ABC):
 
     @property
     def limited(self) -> Sequence[str]:
-        """Inputs that have a range."""
-        return self.decoupler.inputs
+        """Inputs that have a range: all but binary angles."""
+        return [c for c in self.decoupler.inputs if self.range_test(c)]
 
     @property
     @abstractmethod
@@ -418,7 +418,7 @@ class Backend(ABC):
             low, high = ends(d, port.column)
             out.append({
                 **_record(k, port), "bit": bit(port.column), "mask": hexadecimal(d.input_bits[k]),
-                "limited": port.column in self.limited, "symmetric": d.box.symmetric(port.column),
+                "by": self.range_test(port.column), "symmetric": d.box.symmetric(port.column),
                 "filled": f"({low} <= {high})", "least": of_params(low), "greatest": of_params(high),
                 "lowest": f"{d.ends(port.column)[0]:.6g}", "highest": f"{d.ends(port.column)[1]:.6g}",
                 **self._own(port, True),
@@ -436,6 +436,21 @@ class Backend(ABC):
                 **self._own(port, False),
             })  # fmt: skip
         return out
+
+    @abstractmethod
+    def range_test(self, column: str) -> str:
+        """Return the C function that brings an input into its range: `within`, `limited`, or none."""
+
+    def held(self, used: Collection[str]) -> list[str]:
+        """Return C that brings the inputs into their ranges; of those not `used` only the status counts."""
+        d, lines = self.decoupler, []
+        for port in self.inputs:
+            (low, high), by = ends(d, port.column), self.range_test(port.column)
+            limits = high if by == "within" else f"{low}, {high}"
+            call = f"{by}(in->{port.member}, {limits}, {bit(port.column)}, &status);"
+            own = f"const {port.type} {short(port.column)} = " if port.column in used else "(void)"
+            lines.append(own + (call if by else f"in->{port.member};"))
+        return lines
 
     @property
     def said(self) -> Sequence[str]:
@@ -476,7 +491,7 @@ class Backend(ABC):
             "b": self, "d": d, "inputs": self._inputs(), "outputs": self._outputs(errors),
             "version": VERSION, "prefix": self.record.get("name", PREFIX),
             "sha256": self.record["calibration_sha256"], "license": self.record.get("license", LICENSE),
-            "ends": self._ends_checked(), "faults": list(self._faults()),
+            "ends": self._ends_checked(),
             "suspects": residual.fields_of(d) if d.suspects else {},
             "status_or_flags": " || ".join(f"status == {f'0x{v:08X}' if v else 0}" for v in sorted(raised)),
             "bounds": ", ".join(f"{error + REFERENCE:.3e}" for error in self.error_bound.values()),
@@ -510,11 +525,11 @@ class Backend(ABC):
             return {}
         kinds = [self._found_bad_by(e) for e in numbers]
         names = list(dict.fromkeys(kinds))
-        kind = names[-1]
+        kind = f"DECOUPLER_BAD_{names[-1]}"
         for name in names[-2::-1]:
             last = len(kinds) - kinds[::-1].index(name)
-            kind = f"((k < {last}U) ? {name} : {kind})"
-        size, count = numbers[0].values.itemsize, len(kinds) - kinds.count("DECOUPLER_BAD_ZEROS")
+            kind = f"((k < {last}U) ? DECOUPLER_BAD_{name} : {kind})"
+        size, count = numbers[0].values.itemsize, len(kinds) - kinds.count("ZEROS")
         places = ["NUMBERS"] * (count > 0) + ["ZEROS_LESS"] * (count < len(kinds))
         return {
             "number": C_TYPES[numbers[0].values.dtype.str[1:]], "size": size, "first": numbers[0].name,
@@ -530,36 +545,30 @@ class Backend(ABC):
     def _found_bad_by(self, entry: Stored) -> str:
         """Return the finding of a number beyond its ends."""
         limit = entry.name in {e.name for e in self.decoupler.limits}
-        return f"DECOUPLER_BAD_{'ZEROS' if entry in self.offsets else 'LIMITS' if limit else 'NUMBER'}"
+        return "ZEROS" if entry in self.offsets else "LIMITS" if limit else "NUMBER"
 
     def ends_in_c(self, entry: Stored) -> list[str]:
         """Return the least and the greatest value of an entry in C."""
         own = float if entry.values.dtype.kind == "f" else int
         return [self._literal(own(end)) for end in self.accepted[entry.name]]
 
-    def _faults(self) -> Iterator[str]:
-        """Lines of C that make a fault in a table, or none, and ask whether `decoupler_check()` finds it.
+    def faults(self) -> Iterator[tuple[list[str], str]]:
+        """Yield changes of a table in C, and what `decoupler_check()` finds then, apart by blanks.
 
         Each table is sealed with new CRC, so that the test behind the CRC has to find the fault.
         """
-        d, bad = self.decoupler, "DECOUPLER_BAD_"
-
-        def expect(*changes: str, faults: str = "0U") -> list[str]:
-            return [*changes, f"missed += unlike(&table, {faults});"]
-
-        version, layout = "table.version += 1U;", "table.layout ^= 1U;"
-        yield from expect(version, faults=f"{bad}VERSION")
-        yield from expect(layout, faults=f"{bad}LAYOUT")
-        yield from expect("table.length += 4U;", faults=f"{bad}LAYOUT")
-        yield from expect("table.calibration[0] ^= 1U;")
-        yield from expect(version, layout, faults=f"{bad}VERSION | {bad}LAYOUT")
+        d, version, layout = self.decoupler, "table.version += 1U;", "table.layout ^= 1U;"
+        yield [version], "VERSION"
+        yield [layout], "LAYOUT"
+        yield ["table.length += 4U;"], "LAYOUT"
+        yield ["table.calibration[0] ^= 1U;"], ""
+        yield [version, layout], "VERSION LAYOUT"
         for e in self.entries:
             place = f"table.{e.name}[{len(e.values) - 1}]" if e.values.ndim else f"table.{e.name}"
             fault, outside = self._found_bad_by(e), self._just_outside(e.name)
-            for value in outside:
-                yield from expect(f"{place} = {value};", faults=fault)
-            for value in self.ends_in_c(e) if outside and not fault.endswith("LIMITS") else ():
-                yield from expect(f"{place} = {value};")
+            yield from (([f"{place} = {value};"], fault) for value in outside)
+            if outside and fault != "LIMITS":
+                yield from (([f"{place} = {value};"], "") for value in self.ends_in_c(e))
         values = {e.name: e.values.item() for e in self.numbers}
         zero = self._literal(0 * self.offsets[0].values.item())
         swapped: list[list[str]] = []
@@ -568,24 +577,19 @@ class Backend(ABC):
             if d.box.symmetric(column):
                 swapped.append([f"table.{limit} = -decoupler_params.{limit};"])
                 for value in (f"-decoupler_params.{limit}", zero, f"-{zero}"):
-                    yield from expect(f"table.{limit} = {value};", faults=f"{bad}LIMITS")
+                    yield [f"table.{limit} = {value};"], "LIMITS"
             else:
                 changes = [
                     f"table.{low} = decoupler_params.{high};",
                     f"table.{high} = decoupler_params.{low};",
                 ]
-                yield from expect(*changes, faults=f"{bad}LIMITS")
+                yield changes, "LIMITS"
                 swapped.append(changes[::-1])
                 least, greatest = self.accepted[low]
-                yield from expect(
-                    changes[0], faults="0U" if least <= values[high] <= greatest else f"{bad}LIMITS"
-                )
+                yield changes[:1], "" if least <= values[high] <= greatest else "LIMITS"
         beyond = [f"table.{e.name} = {v};" for e in self.offsets for v in self._just_outside(e.name)][:1]
-        kinds = (
-            ["VERSION"] + ["ZEROS"] * len(beyond) + ["LIMITS"] * bool(swapped)
-        )  # each has a bit of its own
-        several = [version, *beyond, *(swapped[0] if swapped else ())]
-        yield from expect(*several, faults=" | ".join(f"{bad}{kind}" for kind in kinds))
+        kinds = ["VERSION"] + ["ZEROS"] * len(beyond) + ["LIMITS"] * bool(swapped)  # each has its own bit
+        yield [version, *beyond, *(swapped[0] if swapped else ())], " ".join(kinds)
 
     def _templates(self) -> dict[str, str]:
         """Return the template of each file; EVA is for code whose results it can see."""

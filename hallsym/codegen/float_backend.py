@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen import accepted, backend, residual
-from hallsym.codegen.backend import VERSION, Backend, Port, Stored, ends
+from hallsym.codegen.backend import VERSION, Backend, Port, Stored
 from hallsym.codegen.bounds import Bounds, enclosed, pose_bounds
 from hallsym.codegen.cost import firmware_cost
 from hallsym.codegen.decoupler import ROOT, Array, Decoupler, Entry, Step, short, steps_on_arrays, unit
@@ -20,8 +20,6 @@ from hallsym.codegen.residual import Ran
 from hallsym.model.arrays import on_arrays
 from hallsym.output import commented
 
-CONSTANTS = {"one": 1.0, "half": 0.5, "four": 4.0, "scale": 2.0**-24, "at_known": 2.0**-12}
-"""Numbers of the templates."""
 UNION = "misra-c2012-19.2:decoupler.c"
 """Deviation: the bits of a number are read through a union, which C99 defines."""
 
@@ -251,8 +249,7 @@ class FloatBackend(Backend):
         if given:
             names = [f"{side}_{short(c)}" for side in ("limit", "low", "high")]
             far = max(abs(v) for name in names for v in self.accepted.get(name, ()))
-            kind, by = "reading" if c in d.model.channels else "measured state", self.by_size(c)
-            return {"kind": kind, "far": literal(far), "by": "within" if by else "limited"}
+            return {"kind": "reading" if c in d.model.channels else "measured state", "far": literal(far)}
         own = {"hashed": literal(self.reset[c]), "period": literal(d.model.period.get(c, 0.0))}
         if d.evident:  # else nothing is proved of it by EVA
             for name, value in (("outer_low", self.bounds.low[c]), ("outer_high", self.bounds.high[c])):
@@ -268,17 +265,17 @@ class FloatBackend(Backend):
         within = [
             f"((pose->{column} >= -{far}) && (pose->{column} <= {far}))" for column, far in most.items()
         ]
-        by_size = list(map(self.by_size, d.inputs))
+        by_size = [self.range_test(column) == "within" for column in d.inputs]
         ends = (2.0**-12, -(2.0**-12)) if d.at_pose else (2.0**-12, 1.0, -1.0)  # non-linear models: near rest
         return {
             "real": self.type,
-            **{f"of_{name}": c(value) for name, value in CONSTANTS.items()},
+            "constant": c,
             "zero": c(0.0),
             "by_size": "all" if all(by_size) else "some" if any(by_size) else "",
-            "held": self._clamped(d.folded),
+            "held": self.held(self._used(d.folded)),
             "body": statements(d.steps, names, real, results),
             "left": [w.left for w in d.watched],
-            "all_held": self._clamped(),
+            "all_held": self.held(d.inputs),
             "at_pose": statements(d.at_pose, names, real, {}),
             "known_within": "\n        && ".join(within),
             "reach": ", ".join(dict.fromkeys(f"{d.known(column):.6g} {unit(column)}" for column in d.pose)),
@@ -301,6 +298,7 @@ class FloatBackend(Backend):
 
     def _of_slopes(self, names: Mapping[str, str]) -> dict[str, Any]:
         slopes, values = self.slopes, self._references()[1]
+        held = self.held(self._used(slopes.whole))
         stored = {f"result_{k}": f"slopes->{name}" for k, name in enumerate(slopes.expressions)}
         # the reference is computed in double and written with 13 digits
         limits = [
@@ -309,7 +307,7 @@ class FloatBackend(Backend):
         ]
         return {
             "slopes": slopes.records(),
-            "slope_body": self._clamped(slopes.whole) + statements(slopes.steps, names, self.real, stored),
+            "slope_body": held + statements(slopes.steps, names, self.real, stored),
             "slope_bounds": ", ".join(f"{limit:.3e}" for limit in limits),
         }
 
@@ -325,21 +323,14 @@ class FloatBackend(Backend):
 
     # -- step, check ---------------------------------------------------------------------------------------
 
-    def by_size(self, column: str) -> bool:
-        """Whether the bits of its size are compared: fewest instructions, typical and worst."""
-        return self.decoupler.box.symmetric(column)
+    def range_test(self, column: str) -> str:
+        """By the bits of its size where one limit says both ends: fewest instructions, typical and worst."""
+        return "within" if self.decoupler.box.symmetric(column) else "limited"
 
-    def _clamped(self, used: ca.SX | None = None) -> list[str]:
-        """Bring the inputs into their range; of those that are not `used` only the status counts."""
-        d, lines = self.decoupler, []
-        for c in d.inputs:
-            low, high = ends(d, c)
-            call = f"limited(in->{identifier(c)}, {low}, {high}, {backend.bit(c)}, &status);"
-            if self.by_size(c):
-                call = f"within(in->{identifier(c)}, {high}, {backend.bit(c)}, &status);"
-            needed = used is None or ca.depends_on(used, d.symbols[c])
-            lines.append(f"const {self.type} {short(c)} = {call}" if needed else f"(void){call}")
-        return lines
+    def _used(self, expression: ca.SX) -> list[str]:
+        """Return the inputs that an expression depends on."""
+        d = self.decoupler
+        return [c for c in d.inputs if ca.depends_on(expression, d.symbols[c])]
 
     def _accepted(self) -> accepted.Ends:
         """As wide as finite results allow."""

@@ -101,13 +101,6 @@ def options_of(record: Mapping[str, Any]) -> Mapping[str, Any]:
     return dict(found or {})
 
 
-def entries_of(record: Mapping[str, Any]) -> list[str]:
-    """Return the names of the numbers in the table of a generated folder."""
-    found = record.get("parameters")
-    named = found if isinstance(found, list) else []
-    return [str(entry.get("name")) for entry in named if isinstance(entry, dict)]
-
-
 # -- the manifest ------------------------------------------------------------------------------------------
 
 

@@ -17,8 +17,8 @@ from hallsym.codegen.box import box_of, shortened
 from hallsym.codegen.decoupler import Box, Decoupler, short, steps_on_arrays
 from hallsym.codegen.float_backend import FloatBackend
 from hallsym.codegen.float_c import DOUBLE, FLOAT, Real
-from hallsym.codegen.folder import entries_of, record_of, replace_params, write_folder
 from hallsym.codegen.folder import options_of as options_before
+from hallsym.codegen.folder import record_of, replace_params, write_folder
 from hallsym.codegen.integer_backend import IntegerBackend
 from hallsym.codegen.integer_c import float_instead, integer_program
 from hallsym.codegen.lowering import check_columns, lower, lowering_of, options_of
@@ -143,15 +143,14 @@ def generate(
     record = {"model": fit.model.name, "calibration_sha256": calibration_sha256 or digest_of(fit)}
     record |= {} if name == PREFIX else {"name": name}
     record["license"] = check_license(str(before.get("license", LICENSE)) if license is None else license)
-    chosen = options_before(before)
-    box = box_of(fit, ranges, entries_of(before))
+    chosen, kept = options_before(before), accepted_of(before)
+    box = box_of(fit, ranges, kept or ())
     given: dict[str, Any] = {
         "accuracy": chosen.get("accuracy") if accuracy is None else accuracy,
         "correction": chosen.get("correction"),
     }
     if observer is None and "observer" in chosen:
         observer = Observer(**{**chosen["observer"], "said": tuple(chosen["observer"].get("said", ()))})
-    kept = accepted_of(before)
     if arithmetic == "q31":
         for option, wanted in {"double": double, "jacobian": jacobian, "predict": observer}.items():
             if wanted:

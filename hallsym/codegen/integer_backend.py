@@ -75,11 +75,6 @@ class IntegerBackend(Backend):
         """Whether an input is a binary angle, of which every bit pattern is one."""
         return bool(self.program.angles & set(self.decoupler.inputs))
 
-    @property
-    def limited(self) -> Sequence[str]:
-        """Inputs that have a range: all but binary angles."""
-        return [c for c in self.decoupler.inputs if c not in self.program.angles]
-
     @cached_property
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
         """Integers towards zero."""
@@ -239,12 +234,13 @@ class IntegerBackend(Backend):
         tried = [[0x7FFFFFFF if angle else KNOWN for angle in angles]]
         tried += [[0x80000001 if angle else -KNOWN for angle in angles], [4096] * len(angles)]
         steps = [line.i for line in p.lines if line.operation == "angle"]
+        used = {name for line in p.lines for name in (line.a, line.b)}
         return {
             "real": "int32_t",
             "zero": "0",
             "scaled": scales,
             "largest": LARGEST,
-            "held": self._held(),
+            "held": self.held([c for c in d.inputs if c in p.angles or short(c) in used]),
             "body": p.c({e.name: f"p->{e.name}" for e in self.numbers}),
             "left": p.left,
             "operations": [line.operation for line in p.lines],
@@ -266,20 +262,9 @@ class IntegerBackend(Backend):
             **self._proofs(),
         }
 
-    # -- step, check ---------------------------------------------------------------------------------------
-
-    def _held(self) -> list[str]:
-        """Bring the inputs into their range; of those that no line takes only the status counts."""
-        p, held = self.program, []
-        used = {name for line in p.lines for name in (line.a, line.b)}
-        for port in self.inputs:
-            c, name = port.column, short(port.column)
-            sides = ", ".join(ends(self.decoupler, c))
-            call = f"limited(in->{port.member}, {sides}, {backend.bit(c)}, &status);"
-            call = f"in->{port.member};" if c in p.angles else call
-            kept = c in p.angles or name in used
-            held.append(f"const {port.type} {name} = {call}" if kept else f"(void){call}")
-        return held
+    def range_test(self, column: str) -> str:
+        """None of a binary angle."""
+        return "" if column in self.program.angles else "limited"
 
     # -- self-test and proofs ------------------------------------------------------------------------------
 

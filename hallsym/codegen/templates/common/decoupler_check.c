@@ -74,7 +74,7 @@ uint32_t decoupler_check(const decoupler_params_t *p)
         found |= ((p->{{ e.name }}[k] >= {{ b.ends_in_c(e)[0] }}) && (p->{{ e.name }}[k] <= {{ b.ends_in_c(e)[1] }})) ? 0U : DECOUPLER_BAD_NUMBER;
     }
 {% endfor %}
-{% set filled = inputs | selectattr("limited") | rejectattr("symmetric") | map(attribute="filled") | join(" && ") %}
+{% set filled = inputs | selectattr("by") | rejectattr("symmetric") | map(attribute="filled") | join(" && ") %}
 {% if filled %}
     if (!({{ filled }}))
     {

@@ -30,7 +30,7 @@ extern "C" {
 
 /** @name Status of decoupler_step(): 0, or the inputs that were brought back into their range */
 /** @{ */
-{% for i in inputs if i.limited %}
+{% for i in inputs if i.by %}
 #define {{ i.bit }} {{ i.mask }} /**< {{ i.column }} outside its range */
 {% endfor %}
 {% for f in d.flags %}

@@ -65,6 +65,9 @@ uint32_t decoupler_missed_faults(void)
 {
     decoupler_params_t table = decoupler_params;
     uint32_t missed = missed_bits() + unlike_together();
-    {{ faults }}
+{% for changes, found in b.faults() %}
+    {{ changes }}
+    missed += unlike(&table, {{ "DECOUPLER_BAD_" ~ found.split() | join(" | DECOUPLER_BAD_") if found else "0U" }});
+{% endfor %}
     return missed;
 }

@@ -11,7 +11,7 @@ static {{ real }} slower({{ real }} speed, {{ real }} most)
 
 static {{ real }} around({{ real }} value, {{ real }} period)
 {
-    const {{ real }} half = period * {{ of_half }};
+    const {{ real }} half = period * {{ constant(0.5) }};
     return (value > half) ? (value - period) : ((value < -half) ? (value + period) : value);
 }
 {% endif %}

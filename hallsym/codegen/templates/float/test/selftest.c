@@ -50,7 +50,7 @@ static {{ real }} input(uint32_t n, uint32_t k, {{ real }} low, {{ real }} high)
 {
     const uint32_t raw = mix((n * {{ inputs | length }}U) + k);
     const uint32_t kind = mix(n ^ 0x9E3779B9UL) & 15U;
-    const {{ real }} share = ({{ real }})(raw >> 8U) * {{ of_scale }};
+    const {{ real }} share = ({{ real }})(raw >> 8U) * {{ constant(2.0**-24) }};
     const {{ real }} part = (high - low) * share;
     {{ real }} value = low + part;
     if (kind == 0U)
@@ -64,7 +64,7 @@ static {{ real }} input(uint32_t n, uint32_t k, {{ real }} low, {{ real }} high)
     }
     else if (kind == 1U)
     {
-        value *= {{ of_four }};
+        value *= {{ constant(4.0) }};
     }
     else
     {
@@ -196,7 +196,7 @@ static uint32_t not_refused(const decoupler_in_t *in, const decoupler_out_t *pos
 {
     decoupler_params_t table = decoupler_params;
 {% for o in outputs %}
-    table.{{ o.zero }} = {{ of_at_known }};
+    table.{{ o.zero }} = {{ constant(2.0**-12) }};
 {% endfor %}
     const decoupler_params_t before = table;
     uint32_t bad = (decoupler_zero(&table, in, pose) == status) ? 0U : 1U;
@@ -213,7 +213,7 @@ uint32_t decoupler_missed_zeros(void)
         decoupler_out_t pose = {0};
         if (decoupler_vectors[k].status == 0U)
         {
-            bad += not_taken(in, {{ of_one }}) + not_taken(in, -{{ of_one }});
+            bad += not_taken(in, {{ constant(1.0) }}) + not_taken(in, -{{ constant(1.0) }});
 {% for member, values in far.items() %}
 {% for value in values %}
             pose.{{ member }} = {{ value }};

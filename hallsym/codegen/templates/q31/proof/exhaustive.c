@@ -41,7 +41,7 @@ int main(void)
 {
     unsigned long bad = 0UL;
     unsigned long divisors = 0UL;
-{% for i in inputs if i.limited %}
+{% for i in inputs if i.by %}
     bad += all_limited({{ i.least }}, {{ i.greatest }});
 {% endfor %}
 {% for r in reciprocals %}
