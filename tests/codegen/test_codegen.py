@@ -15,7 +15,6 @@ from firmware import GOLDEN, calibration, four_probes, made, with_effect
 
 from hallsym.cli.main import main
 from hallsym.codegen import generate
-from hallsym.codegen.backend import mix
 from hallsym.codegen.bounds import pose_bounds
 from hallsym.codegen.box import box_of
 from hallsym.codegen.decoupler import steps_on_arrays
@@ -77,22 +76,6 @@ def test_more_probes_than_coordinates_are_weighted_least_squares():
 
 
 MADE = made("stage31")
-
-
-def test_mixing_is_one_to_one_and_even():
-    # the function is its known constants: value by hand in exact integers
-    def by_hand(x):
-        x ^= x >> 16
-        x = x * 0x7FEB352D & 0xFFFFFFFF
-        x ^= x >> 15
-        x = x * 0x846CA68B & 0xFFFFFFFF
-        return x ^ x >> 16
-
-    numbers = np.arange(1 << 16, dtype=np.uint32)
-    mixed = mix(numbers)
-    assert [int(v) for v in mixed[:50]] == [by_hand(k) for k in range(50)]
-    assert len(np.unique(mixed)) == len(numbers)
-    assert abs(mixed.mean() / 2**32 - 0.5) < 0.01
 
 
 # -- the table -------------------------------------------------------------------------------------------
