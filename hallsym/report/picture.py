@@ -210,15 +210,20 @@ class Row:
     look: Look = AFTER
 
 
-def rows(title: str, x: Axis, found: Sequence[Row], *, floor: float = 0.0) -> Panel:
-    """Return one row per value; the noise floor, where there is one, is dashed."""
+def rows(
+    title: str, x: Axis, found: Sequence[Row], *, floor: float = 0.0, above: bool | None = None
+) -> Panel:  # fmt: skip
+    """Return one row per value, a bar from 0 or, on an axis of decades, from its end; a nan has no bar.
+
+    The noise floor, where there is one, is dashed. `above`: names stand above their bars, as long ones do.
+    """
     names = [r.name if len(r.name) <= LONGEST else f"{r.name[: LONGEST - 1]}…" for r in found]
-    above = max(map(len, names)) > BESIDE
-    half = 0.22 if above else 0.32
-    layers = [level(0.0, Look(SOFT, width=0.6), up=True)]
+    above = max(map(len, names)) > BESIDE if above is None else above
+    half, zero = 0.22 if above else 0.32, (x.low or 0.0) if x.log else 0.0
+    layers = [] if x.log else [level(0.0, Look(SOFT, width=0.6), up=True)]
     for k, r in enumerate(found):
         if r.span is None:
-            layers.append(boxes(min(0.0, r.value), max(0.0, r.value), k - half, k + half, r.look))
+            layers.append(boxes(zero, r.value, k - half, k + half, r.look))
         else:
             layers += [line(r.span, (k, k), MEDIANS[1]), points(r.value, k, r.look)]
     if above:
@@ -229,7 +234,7 @@ def rows(title: str, x: Axis, found: Sequence[Row], *, floor: float = 0.0) -> Pa
         layers.append(level(floor, up=True))
         says += f"; noise floor {number(floor)}"
     y = Axis(low=len(found) - 0.4, high=-0.8 if above else -0.6, names=names)
-    height = (30.0 if above else 19.0) * len(found) + 4
+    height = (30.0 if above else 15.0) * len(found) + 12
     return Panel(x, y, layers, title, says, height, beside=[r.shown for r in found])
 
 

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from hallsym.report.drawing import draw
-from hallsym.report.results.identifiability import LOOKS, correlation, drawable, effects
+from hallsym.report.results.identifiability import LEAST, correlation, drawable, effects
+from hallsym.report.words import name
 
 # -- correlation -----------------------------------------------------------------------------------------
 
@@ -56,33 +57,25 @@ def test_bars_of_effects_end_at_what_the_report_says() -> None:
     odd = reports.odd()
     figure = draw(effects(odd))
     rows = [e for e in odd.parameters if e.verdict.word != "fixed"]
-    assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == [e.name for e in rows]
+    labels = [label.get_text() for label in figure.axes[0].get_yticklabels()]
+    assert labels == [*(e.name for e in rows), "all together"]
     for ax, column, unit in zip(figure.axes, odd.model.pose, ("µm", "µm", "µrad"), strict=True):
-        assert ax.get_xlabel().endswith(f"[{unit}]")
-        assert ax.get_xscale() == "log"
-        floor = odd.outputs[column].noise_floor
-        expected = {}
-        for row, e in enumerate(rows):
-            for side, change in ((-1, e.sigma), (1, e.percent)):
-                if change is not None and change.worst[column] > 1e-3 * floor:
-                    expected[row, side] = 1e6 * change.worst[column]
-        drawn = {}
-        for bars in ax.collections:
-            label = bars.get_label()
-            if label.startswith("1 "):
-                for path in bars.get_paths():
-                    (_, bottom), (end, top) = path.get_extents().get_points()
-                    row = round((bottom + top) / 2)
-                    drawn[row, 1 if top > row else -1] = end
-                    word = rows[row].verdict.word
-                    assert top > row or label == f"1 sigma, {word}"
-                    assert top > row or (bars.get_hatch() or "") == LOOKS[word].hatch
+        assert ax.get_title("left") == f"change of {name(column)} [{unit}]"
+        floor, together = odd.outputs[column].noise_floor, odd.outputs[column].parameters_worst
+        sizes = [*(e.sigma and e.sigma.worst[column] for e in rows), together]
+        expected = {k: 1e6 * v for k, v in enumerate(sizes) if v is not None and v > LEAST * floor}
+        ends = [path.get_extents() for bars in ax.collections for path in bars.get_paths()]
+        drawn = {round((end.y0 + end.y1) / 2): end.x1 for end in ends}
         assert drawn == pytest.approx(expected)
         low, high = ax.get_xlim()
         assert low < min(drawn.values()) <= max(drawn.values()) < high
-        levels = [line.get_xdata()[0] for line in ax.lines if line.get_ls() == "--"]
-        assert levels == pytest.approx([1e6 * floor])
-    assert [text.get_text() for text in ax.texts] == [e.verdict.word for e in rows]
+        (level,) = ax.lines
+        assert level.get_xdata()[0] == pytest.approx(1e6 * floor)
+        for text, e, size in zip(ax.texts, rows, sizes, strict=False):
+            said = text.get_text()
+            assert (
+                said == e.verdict.word if size is None else float(said) == pytest.approx(1e6 * size, rel=0.06)
+            )
 
 
 # -- as drawings -----------------------------------------------------------------------------------------

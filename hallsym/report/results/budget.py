@@ -188,23 +188,17 @@ def budget_bars(budgets: Mapping[str, Budget], *, worst: bool = False) -> p.Pict
     """
     labels, shares = _bars(list(budgets.values()))
     panels: list[p.Panel] = []
-    place = np.arange(len(labels))
-    other = np.array([label.startswith("other ") for label in labels])
     for own, budget in zip(100 * shares, budgets.values(), strict=True):
-        words = [number(v) if abs(v) >= 0.1 else "0" if abs(v) < 1e-9 else "<0.1" for v in own]
-        low, high = min(0.0, own.min()), 1.3 * max(own.max(), 1.0)
         factor, unit = fitting(budget.unit, budget.expanded, turns=budget.turns)
         what = name(budget.quantity) if budget.value is not None else budget.quantity
         size = f"U = {number(budget.expanded * factor)} {typeset(unit)} (k = {number(budget.factor)})"
-        layers = [
-            p.boxes(0.0, np.where(part, own, np.nan), place - 0.36, place + 0.36, look)
-            for part, look in ((~other, p.AFTER), (other, p.OTHER))
+        rows = [
+            p.Row(label, v, number(v) if abs(v) >= 0.1 else "0" if abs(v) < 1e-9 else "<0.1")
+            for label, v in zip(labels, own, strict=True)
         ]
-        layers.append(p.text(words, np.maximum(own, 0.0) + 0.02 * (high - low), place))
-        x = p.Axis("share of u_c² [%]", low, high)
-        y = p.Axis(low=len(labels) - 0.4, high=-0.6, names=labels)
+        x = p.Axis("share of u_c² [%]", min(0.0, own.min()), 1.1 * max(own.max(), 1.0))
         title = f"{what}{', worst position' if worst else ''}\n{size}"
-        panels.append(p.Panel(x, y, layers, title, height=12.2 * len(labels) + 7))
+        panels.append(p.rows(title, x, rows, above=False))
     return p.Picture(panels, across=len(panels))
 
 

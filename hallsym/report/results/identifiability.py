@@ -246,12 +246,6 @@ def shown(report: Identifiability) -> list[ParameterReport]:
     return [entry for entry in report.parameters if entry.verdict.word != "fixed"]
 
 
-def present(entries: Sequence[ParameterReport]) -> list[str]:
-    """Return the verdicts that occur, best first."""
-    found = {entry.verdict.word for entry in entries}
-    return [word for word in VERDICTS if word in found]
-
-
 # -- correlation -----------------------------------------------------------------------------------------
 
 CELL, WRITTEN, HIGH = 24.0, 22, 560.0
@@ -269,7 +263,8 @@ def correlation(report: Identifiability) -> p.Picture:
     rest = [entry for k, entry in enumerate(report.parameters) if k not in order]
     left_out = (
         f"{word}: {', '.join(entry.name for entry in rest if entry.verdict.word == word)}"
-        for word in present(rest)
+        for word in VERDICTS
+        if any(entry.verdict.word == word for entry in rest)
     )
     written = n <= WRITTEN
     drawn = np.where(np.triu(np.ones((n, n)), 1) if written else ~np.eye(n, dtype=bool), values, np.nan)
@@ -298,60 +293,33 @@ def _short(value: float) -> str:
 # -- effects of the parameters ---------------------------------------------------------------------------
 
 
-LOOKS = {
-    "determined": p.AFTER,
-    "weak": p.Look(p.INK, p.YELLOW, hatch="////", width=0.4),
-    "at bound": p.Look(p.INK, "#f0b070", hatch="....", width=0.4),
-    "not determined": p.Look(p.INK, p.PINK, hatch="xxxx", width=0.4),
-    "no effect": p.OTHER,
-}
-"""Of bars by verdict."""
-MODEST, SMALL = p.Look(p.SOFT, p.PAPER, width=0.7), p.Look(p.SOFT, p.SOFT, marker="<", size=2.6)
-"""Bars of 1 % of a value; mark of what is too small for a bar."""
-STRIPE = p.Look(p.GRID, "#f4f4f4", width=0)
-ROW, BAR = 14.4, 0.38
-"""Height of a row [px]; of a bar, in rows."""
 LEAST = 1e-3
-"""Changes below this part of the noise of one reading are not drawn to length."""
+"""Part of the noise of one reading below which a change has no bar."""
 
 
 def effects(report: Identifiability) -> p.Picture:
-    """Return the largest change of each pose coordinate over the workspace, one panel each.
+    """Return the largest change of each pose coordinate by 1 sigma of each parameter, all others fixed.
 
-    Upper bar of a row: one standard uncertainty of the parameter, in the look of its verdict. Lower bar: 1 %
-    of its value. Everything else is fixed.
+    The last row is of all parameters together. A parameter without a bar has its verdict.
     """
-    entries = shown(report)
-    panels = [_effect_panel(entries, column, report) for column in report.model.pose]
-    return p.Picture(panels, across=len(panels))
+    panels = [_effect_panel(report, column) for column in report.model.pose]
+    words = "By one standard uncertainty of each parameter; dashed: noise of one reading."
+    return p.Picture(panels, across=len(panels), words=words)
 
 
-def _effect_panel(entries: list[ParameterReport], column: str, report: Identifiability) -> p.Panel:
-    sigma = np.array([np.nan if e.sigma is None else e.sigma.worst[column] for e in entries])
-    percent = np.array([e.percent.worst[column] for e in entries])
-    floor, together = (report.outputs[column].noise_floor, report.outputs[column].parameters_worst)
-    every = np.array([*sigma, *percent, floor, together])
-    factor, unit = scale(column, largest(every), report.model.period)
-    least = LEAST * floor if floor > 0 else 0.0
-    lined = factor * every[np.isfinite(every) & (every > least)]
-    low, high = (lined.min() / 1.6, 1.6 * lined.max()) if len(lined) else (0.1, 1.0)
-    rows, words = np.arange(len(entries)), [e.verdict.word for e in entries]
-    layers = [p.boxes(low, high, rows[::2] - 0.5, rows[::2] + 0.5, STRIPE)]
-    bars = [
-        (np.where([w == word for w in words], sigma, np.nan), -BAR, LOOKS[word], f"1 sigma, {word}")
-        for word in present([e for e in entries if e.sigma is not None])
-    ]
-    for values, aside, look, label in (*bars, (percent, BAR, MODEST, "1 % of the value")):
-        ends = np.where(values > least, factor * values, np.nan)
-        layers.append(p.boxes(low, ends, rows + min(aside, 0.0), rows + max(aside, 0.0), look, label))
-        small = rows[(values > 0) & (values <= least)] + 0.5 * aside
-        layers.append(p.points([low] * len(small), small, SMALL, f"below 1/{1 / LEAST:.0f} of the noise"))
-    for value, look, label in (
-        (floor, p.FLOOR, "noise of one reading"),
-        (together, p.Look(p.BLUE, dash=":"), "all parameters together, 1 sigma"),
-    ):
-        layers += [p.level(factor * value, look, label, up=True)] if value > 0 else []
-    x = p.Axis(f"largest change of {name(column)} [{unit}]", low, high, log=True)
-    y = p.Axis(low=len(rows) - 0.5, high=-0.5, names=[e.name for e in entries])
-    beside = words if column == report.model.pose[-1] else ()
-    return p.Panel(x, y, layers, height=ROW * len(rows), grid=False, beside=beside)
+def _effect_panel(report: Identifiability, column: str) -> p.Panel:
+    entries, out = shown(report), report.outputs[column]
+    sizes = [np.nan if e.sigma is None else e.sigma.worst[column] for e in entries]
+    every = np.array([*sizes, out.parameters_worst])
+    drawn = np.where(every > LEAST * out.noise_floor, every, np.nan)
+    factor, unit = scale(column, max(largest(drawn), out.noise_floor), report.model.period)
+    lined = factor * np.array([v for v in (*drawn, out.noise_floor) if v > 0])
+    x = p.Axis("", lined.min() / 1.6, 1.6 * lined.max(), log=True)
+    rows = []
+    for entry, size, bar in zip([*entries, None], every, factor * drawn, strict=True):
+        word = entry.verdict.word if entry else "determined"
+        said = word if np.isnan(size) else number(factor * size, 2)
+        look = p.AFTER if word == "determined" else p.BEFORE
+        rows.append(p.Row(entry.name if entry else "all together", bar, said, look=look))
+    title = f"change of {name(column)} [{unit}]"
+    return p.rows(title, x, rows, floor=factor * out.noise_floor, above=False)
