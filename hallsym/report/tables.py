@@ -1,9 +1,8 @@
 """Text: aligned tables, values with their uncertainty, columns with their unit."""
 
-from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from itertools import zip_longest
-from textwrap import fill, wrap
+from textwrap import wrap
 
 import numpy as np
 
@@ -12,97 +11,72 @@ from hallsym.report.words import name, number
 from hallsym.units import parameter_unit, readable
 
 LEAST_WORDS = 20
-"""Characters that a column of words needs beside others; where there are fewer, it stands below the table."""
+"""Characters that a column of prose needs beside others."""
 GAP = 2
 
 
-def grid(rows: Sequence[Sequence[str]], *, left: int = 1, rule_after: int = 1, words: bool = False) -> str:
+def grid(rows: Sequence[Sequence[str]], *, left: int = 1, words: bool = False) -> str:
     """Return rows as aligned text: the first `left` columns left-aligned, a rule after the header.
 
-    `words`: the last column is prose, outside the rule. A table that is wider than the terminal has folded
-    headers, then folded words or words below it, then its columns in blocks, one below the other.
+    `words`: the last column is prose, outside the rule. In a table that is wider than the terminal headers,
+    names and prose are folded; else prose stands below its row; else each row is a list of its cells.
     """
     shown = [[printable(cell) for cell in row] for row in rows]
-    table, limit = _Table(shown, left, rule_after, words), columns()
-    fits = limit is None or _width(table.natural) <= limit
-    return "\n".join(table.drawn(table.natural) if fits else table.lines(limit or 0))
+    limit, below = columns(), shown
+    widths: list[int] | None = [max(map(len, column)) for column in zip(*shown, strict=True)]
+    if limit is not None and _width(widths or []) > limit:
+        widths = _folded(shown, left, words, limit)
+        if widths is None and words:
+            shown, words = [row[:-1] for row in shown], False
+            widths = _folded(shown, left, words, limit)
+        if widths is None:
+            return "\n".join(_listed(below, min(left, len(below[0]) - 1), limit))
+    lines = []
+    for k, (row, whole) in enumerate(zip(shown, below, strict=True)):
+        if k == 1:
+            lines.append("-" * _width(widths[:-1] if words else widths))
+        cells = [_fold(cell, width) for cell, width in zip(row, widths, strict=True)]
+        for parts in zip_longest(*cells, fillvalue=""):
+            padded = (
+                part.ljust(width) if j < left or (words and j == len(row) - 1) else part.rjust(width)
+                for j, (part, width) in enumerate(zip(parts, widths, strict=True))
+            )
+            lines.append((" " * GAP).join(padded).rstrip())
+        lines += _below(whole[len(row) :], limit)
+    return "\n".join(lines)
 
 
-@dataclass(frozen=True)
-class _Table:
-    """Cells of a table; `head` rows are its header."""
+def _folded(rows: Sequence[Sequence[str]], left: int, words: bool, limit: int) -> list[int] | None:
+    """Return widths of columns that fit, headers, names and prose folded; None where none do."""
+    widths, last = [], len(rows[0]) - 1
+    table = list(zip(*rows, strict=True))
+    for k, column in enumerate(table):
+        prose = words and k == last
+        folded = column if prose or k < left else column[:1]
+        parts = [word for cell in folded for word in cell.split()]
+        least = max(map(len, [*parts, *column[len(folded) :]]), default=0)
+        widths.append(min(least, LEAST_WORDS) if prose else least)
+    room = limit - _width(widths)
+    if room < 0:
+        return None
+    for k, column in enumerate(table):
+        more = min(max(map(len, column)) - widths[k], room)
+        widths[k], room = widths[k] + more, room - more
+    return widths
 
-    rows: Sequence[Sequence[str]]
-    left: int
-    head: int
-    words: bool
 
-    @property
-    def natural(self) -> list[int]:
-        """The width of each column where it does not matter."""
-        return [max(map(len, column)) for column in zip(*self.rows, strict=True)]
+def _listed(rows: Sequence[Sequence[str]], left: int, limit: int) -> Iterator[str]:
+    """Yield each row as its name, and below it its cells with the headers of their columns."""
+    head, *body = rows
+    for row in body:
+        yield from wrap("  ".join(filter(None, (*head[:left], *row[:left]))), limit)
+        for title, cell in zip(head[left:], row[left:], strict=True):
+            yield from _below([title, cell], limit) if cell or row is body[0] else ()
 
-    def lines(self, limit: int) -> list[str]:
-        """Return the lines of the table in a width that is less than its own."""
-        if not self.words:
-            widths = self._widths(limit)
-            return self.drawn(widths) if widths else self._blocks(limit)
-        numbers = _Table([row[:-1] for row in self.rows], self.left, self.head, False)
-        widths = numbers._widths(limit - LEAST_WORDS - GAP)
-        if widths:
-            return self.drawn([*widths, limit - sum(widths) - GAP * len(widths)])
-        named = (" ".join([*row[: self.left], row[-1]]) for row in self.rows)
-        return [*numbers.lines(limit), "", *(fill(line, limit) for line in named)]
 
-    def _widths(self, limit: int) -> list[int] | None:
-        """Return widths of the columns that fit, headers folded, and names where they must be; else None."""
-        natural = self.natural
-        widths = [self._narrowest(k) for k in range(len(natural))]
-        room = limit - _width(widths)
-        if room < 0:
-            return None
-        for k, wanted in enumerate(natural):
-            more = min(wanted - widths[k], room)
-            widths[k], room = widths[k] + more, room - more
-        return widths
-
-    def _narrowest(self, k: int) -> int:
-        """Return the least width of a column: words of its header may stand in lines of their own."""
-        folded = self.rows if k < self.left else self.rows[: self.head]
-        words = [word for row in folded for word in row[k].split()]
-        return max(map(len, [*words, *(row[k] for row in self.rows[len(folded) :]), ""]))
-
-    def drawn(self, widths: Sequence[int]) -> list[str]:
-        """Return the lines of the table whose columns have these widths."""
-        lines = []
-        for k, row in enumerate(self.rows):
-            if k == self.head:
-                lines.append("-" * _width(widths[:-1] if self.words else widths))
-            cells = [_fold(cell, width) for cell, width in zip(row, widths, strict=True)]
-            for parts in zip_longest(*cells, fillvalue=""):
-                lines.append((" " * GAP).join(map(self._aligned, range(len(row)), parts, widths)).rstrip())
-        return lines
-
-    def _aligned(self, k: int, cell: str, width: int) -> str:
-        prose = self.words and k == len(self.rows[0]) - 1
-        return cell.ljust(width) if k < self.left or prose else cell.rjust(width)
-
-    def _blocks(self, limit: int) -> list[str]:
-        """Return the columns in blocks, each begun by the first ones, which name the rows."""
-        count = len(self.rows[0])
-        left = self.left if self.left < count else 1  # all of them: the first one names the rows
-        narrow, groups = [self._narrowest(k) for k in range(count)], [[*range(left)]]
-        for k in range(left, count):
-            if len(groups[-1]) > left and _width([narrow[j] for j in (*groups[-1], k)]) > limit:
-                groups.append([*range(left)])
-            groups[-1].append(k)
-        lines: list[str] = []
-        for group in groups:
-            block = [[row[j] for j in group] for row in self.rows]
-            part = _Table(block, left if left == self.left else len(group), self.head, False)
-            narrowest = [part._narrowest(j) for j in range(len(group))]
-            lines += ["", *part.drawn(part._widths(limit) or narrowest)]
-        return lines[1:]
+def _below(cells: Sequence[str], limit: int | None) -> list[str]:
+    said = "  ".join(filter(None, cells))
+    return wrap(said, limit or len(said) + GAP, initial_indent="  ", subsequent_indent="    ")
 
 
 def _width(widths: Sequence[int]) -> int:

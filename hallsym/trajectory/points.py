@@ -1,17 +1,14 @@
-"""Points that a curve shall pass, read from CSV."""
+"""Points that a curve shall pass, read from a table."""
 
 from __future__ import annotations
 
-import csv
-import io
-import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from hallsym.errors import InputError, quoted, require
-from hallsym.files import read_text, reading
+from hallsym.errors import InputError, require
+from hallsym.log.formats import open_source
 from hallsym.trajectory.factorisation import check_increasing
 from hallsym.trajectory.nominal import COORDINATES
 from hallsym.units import si_name, split_unit
@@ -70,44 +67,23 @@ def points_of(
     return Points(t, points, tuple(coordinates), name)
 
 
-_NO_CSV = "is not CSV text"
-
-
 def read_points(path: str | Path) -> Points:
-    """Read points from CSV: columns such as x_um, y_um, rz_urad, and t (or t_s) if they have a parameter.
+    """Read points from a table in any format that `read_log` reads.
 
-    The unit ends the name of a column. Raises `InputError` for what cannot be read.
+    Its columns are such as x_um, y_um, rz_urad, and t (or t_s, t_mm) if they have a parameter. Raises
+    `InputError` for what cannot be read.
     """
-    text = read_text(path, "Points file", _NO_CSV, "copy it again", "give the path of a CSV file")
+    source = open_source(path).source
     path = Path(path)
-    with reading(path, "Points file", _NO_CSV):
-        rows = [row for row in csv.reader(io.StringIO(text, newline="")) if any(cell.strip() for cell in row)]
-    rows = [row for row in rows if not row[0].lstrip().startswith("#")]
-    if len(rows) < 3:
-        raise InputError(f"Points file {path} must hold a line of column names and at least 2 points.")
-    names = [name.strip() for name in rows[0]]
-    columns = [_column(name, path) for name in names]
-    si = [column for column, _ in columns]
-    if len(set(si)) != len(si):
+    known = {name: _column(name, path) for name in source.names}
+    if len({column for column, _ in known.values()}) < len(known):
         raise InputError(f"Points file {path} gives a column twice; keep one of each.")
-    order = [si.index(c) for c in COORDINATES.values() if c in si]
-    if not any(si[k].endswith("_m") for k in order):
+    found = {known[name][0]: known[name][1] * v for name, v in source.read(source.names).items()}
+    order = tuple(c for c in COORDINATES.values() if c in found)
+    if not any(c.endswith("_m") for c in order):
         raise InputError(f"Points file {path} must have at least one of the columns x, y, z, such as x_um.")
-    numbered = enumerate(rows[1:], 1)
-    table = np.array(
-        [[_cell(row, k, number, names, path) for k in range(len(names))] for number, row in numbered]
-    )
-    made = points_of(
-        table[:, order] * np.array([columns[k][1] for k in order]),
-        table[:, si.index("t")] if "t" in si else None,
-        tuple(si[k] for k in order),
-        path.name,
-    )
-    torn = (
-        f"the last line of {quoted(path.name)} does not end with a newline: if the file was cut short, its "
-        "last point is wrong."
-    )
-    return made if text.endswith(("\n", "\r")) else replace(made, notes=(torn,))
+    points = np.column_stack([found[c] for c in order])
+    return replace(points_of(points, found.get("t"), order, path.name), notes=source.notes)
 
 
 def _column(name: str, path: Path) -> tuple[str, float]:
@@ -120,15 +96,3 @@ def _column(name: str, path: Path) -> tuple[str, float]:
             f"Column {name!r} of {path} must be t, or one of {known} with its unit, such as x_um or rz_urad."
         )
     return found, unit.factor
-
-
-def _cell(row: list[str], k: int, number: int, names: list[str], path: Path) -> float:
-    try:
-        value = float(row[k]) if len(row) == len(names) else math.nan
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(
-            f"Point {number} of {path} must have a finite number for {names[k]}; its line is {row}."
-        )
-    return value

@@ -81,10 +81,11 @@ def test_bad_points(tmp_path):
     assert "Points 2 and 3 of p.csv are the same" in said("x_um,y_um\n0,0\n2,1\n2,1\n")
     assert "Point 2 of" in said("x_um,y_um\n0,0\n2,nan\n2,1\n")
     assert "must be t, or one of" in said("x,y_um\n0,0\n2,3\n2,1\n")
-    assert "at least 2 points" in said("x_um,y_um\n0,0\n")
+    assert "at least 2 rows" in said("x_um,y_um\n0,0\n")
     assert "at least one of the columns" in said("t,rz_urad\n0,0\n1,1\n")
     assert "a column twice" in said("x_um,x_mm\n0,0\n1,1\n")
-    assert "its line is" in said("x_um,y_um\n0,0\n1,1,1\n")
+    assert "must have 2 cells" in said("x_um,y_um\n0,0\n1,1,1\n")
+    assert "must be a number; it is 'abc'" in said("x_um,y_um\n0,0\n1,abc\n")
     with pytest.raises(InputError, match="does not exist"):
         read_points(tmp_path / "none.csv")
     with pytest.raises(InputError, match="one finite number for each"):
