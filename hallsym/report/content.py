@@ -114,6 +114,14 @@ class Runs:
     data: Any
 
 
+@dataclass(frozen=True)
+class Folded(Words):
+    """Blocks that a page shows when they are asked for, under `words`, which is all that a terminal has."""
+
+    kind = "folded"
+    content: Sequence[Table | Picture]
+
+
 Block = Words | Table | Items | Picture | Runs
 
 

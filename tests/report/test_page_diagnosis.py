@@ -13,7 +13,7 @@ from reports import run_series
 from test_page import Outline
 
 from hallsym.diagnosis import Diagnosis
-from hallsym.report.content import document
+from hallsym.report.content import document, printed
 from hallsym.report.data.gather import Cells
 from hallsym.report.results.diagnosis import diagnosis_content
 
@@ -224,6 +224,23 @@ def test_maps_and_series_are_optional_and_shown():
     over_time = page.partition('class="series"')[2]
     assert [over_time.count(f'stroke="var(--{look})"') for look in ("median0", "edge")] == [3, 3]
     assert "nan" not in page.partition("<body>")[2].partition("<script>")[0]
+
+
+def test_pictures_of_many_outputs_and_all_but_the_worst_of_many_sensors_are_folded():
+    record, pose = a_record(), [*POSE, "z_m"]
+    noise = {f"hall_{k}_v": {"fitted": side((1 + 0.01 * k) * 1e-3, 1e-3, None)} for k in range(20)}
+    record["size"]["sensors"] = noise
+    cells = Cells("x [µm]", tuple(pose), np.array([3]), np.ones((4, 1)), np.ones((4, 1)), edges=(0.0, 1.0))
+    said = diagnosis_content(
+        Diagnosis.from_dict(record), maps={"before": [cells, replace(cells, by="y [µm]")]}
+    )
+    page = document(said)
+    folded = re.findall("<details>.*?</details>", page, re.S)
+    summaries = [re.search("<summary>(.*?)</summary>", part)[1] for part in folded]
+    assert summaries == ["and 14 sensors whose error is nearer to the noise", "over x [µm]", "over y [µm]"]
+    assert [f"Hall {k} [" in folded[0] for k in (13, 14)] == [True, False]
+    assert summaries[0] in printed(said)
+    assert "Hall 13 " not in printed(said)
 
 
 HOSTILE = st.text(alphabet="<>&\"'/=;!-scriptonerror \x00\udc80‮", max_size=30)

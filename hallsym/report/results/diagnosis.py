@@ -28,7 +28,7 @@ from hallsym.estimation import Fit
 from hallsym.families import FAMILIES, added_effects, effects, plain
 from hallsym.output import percent
 from hallsym.report import picture as p
-from hallsym.report.content import Block, Content, Heading, Items, Note, Section, Table
+from hallsym.report.content import Block, Content, Folded, Heading, Items, Note, Section, Table
 from hallsym.report.data.gather import RunSeries
 from hallsym.report.panels import Sizes
 from hallsym.report.picture import BEFORE
@@ -212,7 +212,7 @@ def _sizes(d: Diagnosis) -> list[Block | str]:
         "residual error", "rms, fitted", "rms, holdout", "noise", "above, fitted",
         "above, holdout", "share, fitted", "share, holdout",
     ]  # fmt: skip
-    rows = []
+    rows = {}
     for column, sides in d.size.rows.items():
         factor, unit = scaled(column, max(side.rms for side in sides.values()))
         both = [sides.get(side) for side in ("fitted", "held_out")]
@@ -220,13 +220,20 @@ def _sizes(d: Diagnosis) -> list[Block | str]:
         rms = [number(factor * s.rms) if s else "" for s in both]
         above = [number(factor * s.above) if s else "" for s in both]
         share = ["" if s is None or s.share is None else percent(s.share) for s in both]
-        rows.append([f"{name(column)} [{unit}]", *rms, noise, *above, *share])
+        rows[column] = [f"{name(column)} [{unit}]", *rms, noise, *above, *share]
     caption = (
         f"residual error on fitted and holdout runs: rms, noise floor ({d.noise_floor.source}), the excess "
         "above it, and its share of the excess of all outputs, or of all sensors, where the whole excess is "
         "more than chance"
     )
-    return [Table(head, rows, caption)] if rows else []
+    sensors = [column for column in rows if column not in d.noise_floor.outputs]
+    sensors.sort(key=lambda c: -max(side.above / (side.rms or 1.0) for side in d.size.rows[c].values()))
+    folded = sensors[shared.NAMED :] if len(sensors) > shared.NAMED + 1 else []
+    blocks: list[Block | str] = [Table(head, [rows[c] for c in rows if c not in folded], caption)]
+    if folded:
+        more = f"and {len(folded)} sensors whose error is nearer to the noise"
+        blocks.append(Folded(more, [Table(head, [rows[c] for c in folded], "the other sensors")]))
+    return blocks if rows else []
 
 
 def _waves(d: Diagnosis, coordinate: str) -> list[Block | str]:

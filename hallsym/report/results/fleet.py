@@ -75,9 +75,9 @@ def _spreads(fleet: Fleet) -> list[list[str]]:
 
 
 CAPTION = (
-    "Left: good devices by their value, without outlying ones, and the normal distribution of the spread "
-    "between devices and the uncertainty of one fit. Right: their values in the order of the rows, with the "
-    "mean and two standard deviations of that distribution; a cross is an outlying device."
+    "Of each parameter first the good devices by their value, without outlying ones, and the normal "
+    "distribution of the spread between devices and the uncertainty of one fit; then their values in the "
+    "order of the rows, with the mean and two standard deviations of that distribution (cross: outlying)."
 )
 
 

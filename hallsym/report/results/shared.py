@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from hallsym.errors import InputError, counted
 from hallsym.estimation import Fit
 from hallsym.estimation.calibration import LogRecord
 from hallsym.log.columns import in_a_row
-from hallsym.report.content import Block, Heading, Items, Note, Runs, Section, Table, Words
+from hallsym.report.content import Block, Folded, Heading, Items, Note, Runs, Section, Table, Words
 from hallsym.report.data.gather import Cells, RunSeries
 from hallsym.report.panels import Sizes, over_time, plane, profiles, script_data
 from hallsym.report.picture import Picture
@@ -112,6 +113,8 @@ def expanded_at_rest(fit: Fit) -> list[str]:
 # -- where, when, and how the error is distributed ---------------------------------------------------------
 
 
+FEW = 3
+"""Outputs of which a page shows every picture; of more all but the first ones are folded."""
 Versions = Mapping[str, Sequence[Cells]]
 """The maps of one version of the model, or the same maps of two, before and after."""
 
@@ -127,7 +130,7 @@ def maps_section(found: Versions, floor: Mapping[str, float], *, seen: bool = Fa
     along = [] if seen and len(along) == 1 else along
     content = _planes(found, floor)
     content += [Note(f"Along one coordinate. {how}")] if along else []
-    content += [Picture(_charts(pair, floor), words=f"over {pair[0].by}") for pair in along]
+    content += _few([Picture(_charts(pair, floor), words=f"over {pair[0].by}") for pair in along])
     for m, *after in zip(*found.values(), strict=True):
         if m.labels:
             marked = " An h marks runs of the holdout." if m.marked else ""
@@ -153,7 +156,14 @@ def _planes(found: Versions, floor: Mapping[str, float]) -> list[Any]:
     ]
     more = " Before and after have one scale." if len(found) > 1 else ""
     note = f"Over the first two coordinates that move. {COLOURS}{more}"
-    return [Note(note), *pictures] if pictures else []
+    return [Note(note), pictures[0], *_few(pictures[1:])] if pictures else []
+
+
+def _few(pictures: Sequence[Picture]) -> list[Block]:
+    """Return pictures of a few outputs as they are, of many each folded."""
+    return [
+        one if len(one.panels) <= FEW else Folded(one.words, [replace(one, words="")]) for one in pictures
+    ]
 
 
 def _charts(both: Sequence[Cells], floor: Mapping[str, float]) -> list[Any]:

@@ -3,7 +3,10 @@
   const NS = "http://www.w3.org/2000/svg", ACROSS = 20000, UP = 5000, LEFT = 54, TOP = 22, RIM = 14;
   const all = (root, selector) => [...root.querySelectorAll(selector)];
   let printed = false;
-  addEventListener("beforeprint", () => { printed = true; });
+  addEventListener("beforeprint", () => {
+    printed = true;
+    for (const folded of all(document, "details")) folded.open = true;
+  });
   addEventListener("afterprint", () => { printed = false; });
   function put(parent, name, attributes, words = "") {
     const element = document.createElementNS(NS, name);
