@@ -119,14 +119,6 @@ def test_a_log_gives_rms_and_worst(ran, here):
         assert spot["expanded_uncertainty"] == pytest.approx(budget.expanded, rel=1e-6)
 
 
-def test_noise_in_use_stands_in_place_of_that_of_the_calibration(ran, here):
-    made = json.loads(ran("calib.json", "--noise", "hall_m=7e-8", "--noise", "hall_a_um=0.05", "--json"))
-    part = {s["name"]: s["standard_uncertainty"] for s in made["budgets"]["x_m"]["sources"]}
-    assert part["hall_a noise"] == pytest.approx(5e-8)
-    assert part["hall_b noise"] == pytest.approx(7e-8)
-    assert part["z noise"] == pytest.approx(here.noise["z_m"].value)
-
-
 def test_a_log_at_one_height_has_a_map_of_one_height(ran, here, tmp_path):
     lines = Path("log.csv").read_text().splitlines()
     k = lines[0].split(",").index("z_m")

@@ -301,13 +301,6 @@ def test_a_series_keeps_its_peaks_and_gaps():
     assert sum(map(len, run["lines"][0])) < 60_000
 
 
-def test_a_short_series_is_drawn_sample_by_sample():
-    error = np.array([[1e-6, -2e-6, 0.5e-6]])
-    series = run_series("run 0", ("x_m",), np.array([0.0, 0.1, 0.2]), {"a": error})
-    (points,) = _points(_first_run(series)["lines"][0][0])
-    assert points == [(0, -UP // 2), (ACROSS // 2, UP), (ACROSS, -UP // 4)]
-
-
 def test_a_series_of_one_sample_or_none_kept_is_drawn():
     one = run_series("r", ("x_m",), np.array([3.0]), {"a": np.array([[1e-6]])})
     assert _first_run(one)["lines"][0][0]
@@ -350,16 +343,3 @@ def test_runs_are_offered_worst_first(log: Log, fitted: Fit):
     size = dict(zip(survey.runs, (rms / floor).max(axis=1), strict=True))
     assert [size[run] for run in order] == sorted(size.values(), reverse=True)
     assert worst_first(survey, {}, 2) == worst_first(survey, {}, 60)[:2]
-
-
-def test_what_lacks_a_column_is_refused(tmp_path, fitted: Fit, capsys):
-    fitted.save(tmp_path / "calib.json")
-    columns = record(seed=1, samples=20)
-    del columns["hall_b_m"]
-    write_log(columns, tmp_path / "log.csv")
-    code = main(
-        ["report", str(tmp_path / "calib.json"), str(tmp_path / "log.csv"), "-o", str(tmp_path / "p.html")]
-    )
-    assert code == 2
-    assert "hall_b_m" in capsys.readouterr().err
-    assert not (tmp_path / "p.html").exists()

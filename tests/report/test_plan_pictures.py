@@ -50,10 +50,6 @@ def test_coverage_shows_settings_and_motion_of_both(planned, logged):
         assert np.allclose(np.abs(drawn).max(axis=1), (300, 500), rtol=1e-2)
 
 
-def test_a_plan_alone_has_one_entry_in_the_legend(planned):
-    assert words(draw(coverage(planned))) == ["planned, 10 runs"]
-
-
 def test_the_path_of_a_single_coordinate_is_drawn_over_the_run():
     ranges = Ranges({"angle_rad": (-3.0, 3.0)}, (1.0, 2.0), 1.0, runs=2)
     noise = {"v_sin_v": 3e-4, "v_cos_v": 3e-4, "angle_ref_rad": 2e-5}

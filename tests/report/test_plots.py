@@ -14,13 +14,11 @@ from hallsym.diagnosis import examine, prepare
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, evaluate, fit
 from hallsym.families import build
-from hallsym.families.recording import Correction
-from hallsym.log import Block, Log
+from hallsym.log import Log
 from hallsym.report.data.gather import diagnosed
 from hallsym.report.data.survey import COLUMNS, Survey, Trace, held_out, look_over, settings
 from hallsym.report.drawing import DPI, WIDTH, draw, save, svg
 from hallsym.report.results import fit as plots
-from hallsym.report.words import name
 from hallsym.simulation import Campaign, NoiseModel, Run, simulate, sine
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -43,6 +41,7 @@ def _legends(figure) -> list[str]:
 def test_errors_by_setting_shows_every_series(fitted: Fit, survey: Survey) -> None:
     picture = plots.errors_by_setting(fitted, survey)
     figure = draw(picture)
+    reports.inside(figure)
     labels = ["nominal", "fitted", "fitted, holdout runs", "noise floor"]
     assert _legends(figure) == labels
     assert [ax.get_ylabel() for ax in figure.axes] == ["rmse x [µm]", "rmse y [µm]", "rmse Rz [µrad]"]
@@ -70,10 +69,6 @@ def test_one_run_without_holdout() -> None:
     survey = look_over(log, result)
     assert settings(result, survey) == ([("0", [0])], "run")
     assert len(plots.errors_by_setting(result, survey).panels) == 3
-
-
-def test_nothing_is_drawn_beyond_the_edge(fitted: Fit, survey: Survey) -> None:
-    reports.inside(draw(plots.errors_by_setting(fitted, survey)))
 
 
 # -- files -----------------------------------------------------------------------------------------------
@@ -133,16 +128,6 @@ def test_a_folder_that_cannot_be_is_one_sentence(log: Log, fitted: Fit, tmp_path
     with pytest.raises(InputError, match=r"^Cannot make the folder .*file.*\.$"):
         saved(log, fitted, tmp_path / "file" / "pictures")
     assert (tmp_path / "file").read_text() == "mine"
-
-
-def test_corrections_of_the_fit_are_applied(log: Log, fitted: Fit) -> None:
-    a, b, *_ = fitted.model.channels
-    data = {name: log.array(name) for name in log.columns}
-    swapped = with_noise(data | {a: data[b], b: -data[a]})
-    wired = fitted.changed(corrections=(Correction("sign", (b,)), Correction("exchange", (a, b))))
-    right, drawn = (draw(plots.fit_figure(*made)).axes[0] for made in ((log, fitted), (swapped, wired)))
-    for line, same in zip(drawn.lines, right.lines, strict=True):
-        np.testing.assert_array_equal(line.get_ydata(), same.get_ydata())
 
 
 # -- an evaluation ----------------------------------------------------------------------------------------
@@ -207,16 +192,6 @@ def test_survey_has_the_error_tables_of_the_fit_and_of_an_evaluation(fitted: Fit
         np.testing.assert_allclose(mine.peak, theirs.peak, rtol=1e-6)
 
 
-def test_survey_leaves_out_what_keep_rejects(log: Log, fitted: Fit) -> None:
-    def keep(block: Block) -> np.ndarray:
-        return (np.abs(block.data["y_ref_m"]) < 400e-6).astype(float)
-
-    survey = look_over(log, fitted, keep)
-    rejected = int(np.sum(np.abs(log.array("y_ref_m")) >= 400e-6))
-    assert survey.n_rejected == rejected > 0
-    assert survey.fitted.count.sum() == log.rows - rejected
-
-
 def test_settings_are_labelled_by_what_the_stage_does(fitted: Fit, survey: Survey) -> None:
     groups, title = settings(fitted, survey)
     labels = [label.replace("\N{MINUS SIGN}", "-") for label, _ in groups]
@@ -226,10 +201,3 @@ def test_settings_are_labelled_by_what_the_stage_does(fitted: Fit, survey: Surve
     assert {"Z -250", "Z +250", "Rx +500", "Ry -500"} <= set(labels)
     assert sorted(run for _, runs in groups for run in runs) == list(survey.runs)
     assert title == "vertical setting (Z in µm; Rx, Ry in µrad)"
-
-
-# -- words -----------------------------------------------------------------------------------------------
-
-
-def test_names_are_what_people_say() -> None:
-    assert [name(c) for c in ("rz_rad", "hall_a_m", "v_sin_v")] == ["Rz", "Hall A", "v sin"]
