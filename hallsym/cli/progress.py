@@ -15,7 +15,7 @@ EVERY_S = 5.0
 REDRAWN_S = 0.1
 """Seconds between two drawings of the line on a terminal."""
 SURE = 0.02
-"""Share of the work above which the time that it took tells how much is left."""
+"""Share of the work above which the remaining time is extrapolated from the time it took."""
 LEAST_S = 1.0
 """Time that work takes at least before it is said how long it took."""
 
@@ -35,7 +35,7 @@ class Meter:
         _SHOWN.append(self)
 
     def __call__(self, text: str) -> None:
-        """Show a text; a `Step` tells the share that is done, and so the time that is left."""
+        """Show a text; the share of a `Step` that is done gives the remaining time."""
         if self._silent:
             return
         now, before = self._now(), self._text

@@ -38,8 +38,8 @@ def run(options: Namespace) -> int:
     known = load_fit(options.calibration, own_effects(options))
     log = at_rest(open_log(options, known=known), known.model)
     if not options.drop_bad:
-        columns, wired = logged_columns(known.model), as_read(log, known.model, known.corrections)
-        log = replace(log, notes=tuple(check_log(wired, columns)))
+        columns, read = logged_columns(known.model), as_read(log, known.model, known.corrections)
+        log = replace(log, notes=tuple(check_log(read, columns)))
     # the command without the name of the page, so that the name does not change the page
     typed = shlex.join(["hallsym", "report", options.calibration, options.log, *reading_words(options)])
     content = page_content(log, known, command=typed, calibration=str(options.calibration))

@@ -122,7 +122,7 @@ def _diagnosed(log: Any, found: Fit, asked: Settings) -> dict[str, Any]:
         result = diagnose(log, found.model, drop_bad=asked.drop_bad)
     except InputError as error:
         return {"diagnosis": "not possible", "causes": "", "diagnosis_reason": one_line(str(error))}
-    # the effects that were found, each with those that the log cannot tell from it
+    # the effects that were found, each with those that are confusable with it on this log
     confusable = {name: sorted(group) for group in result.groups for name in group}
     causes = sorted({" or ".join(confusable.get(e.name, [e.name])) for e in result.effects})
     reason = one_line(result.sentence)

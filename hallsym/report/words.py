@@ -88,6 +88,6 @@ def number(value: float, digits: int = 3) -> str:
 
 
 def sized(value: float, si: str, *, turns: bool = False, digits: int = 3) -> str:
-    """Return a value with the unit that suits it: `0.606 nm`; `turns`: it is of an angle that goes round."""
+    """Return a value with the unit that suits it: `0.606 nm`; `turns`: of a periodic angle."""
     factor, unit = fitting(si, value, turns=turns)
     return f"{number(value * factor, digits)} {unit}"

@@ -123,8 +123,8 @@ def turns_content(found: TurnPlan) -> Content:
         named = listed([str(n) for n in found.open])
         answer = (
             f"{where} leave {'wave' if len(found.open) == 1 else 'waves'} {named} per turn open: n p is near "
-            "a multiple of 360 deg for all of them. Only the motion tells these: a rotor that coasts at two "
-            "speeds, or one Hall more at another angle. Reversing does not."
+            "a multiple of 360 deg for all of them. Only the motion separates these: a rotor that coasts at "
+            "two speeds, or one Hall more at another angle. Reversing does not."
         )
     weak = np.argsort(found.seen)[:6]
     rows = [[str(n + 1), "open" if n + 1 in found.open else f"{1 / found.seen[n]:.1f}"] for n in sorted(weak)]

@@ -144,5 +144,5 @@ def _percent(value: float) -> str:
 
 
 def _unit(found: Matching, largest: float) -> tuple[float, str]:
-    """Return factor and unit of rms errors up to `largest`: degrees where the pose is an angle that turns."""
+    """Return factor and unit of rms errors up to `largest`: degrees where the pose is a periodic angle."""
     return fitting(found.unit, largest, turns=any(c in found.model.period for c in found.model.pose))
