@@ -17,59 +17,47 @@ Sizes = Mapping[str, Mapping[str, float]]
 # -- errors by cell: along a coordinate, by group of runs, over two coordinates --------------------------
 
 
-MOST = 12
-"""Cells with names in one panel."""
-
-
-def profiles(both: Sequence[Cells], output: int, floor: float = 0.0) -> list[p.Panel]:
+def profile(both: Sequence[Cells], output: int, floor: float = 0.0) -> p.Panel:
     """Return mean (line) and rms (band to both sides) of one output by cell; `floor` [SI] is dashed.
 
-    `both`: the cells of one version, or of two, the second drawn over the first. Cells with names are drawn
-    in two panels where they are more than `MOST`, so that they can be read on a phone.
+    `both`: the cells of one version, or of two, the second drawn over the first.
     """
-    cells, n = both[0], len(both[0].count)
+    cells, names = both[0], both[0].labels
+    what, n = name(cells.pose[output]), len(cells.count)
     reach = max(floor, *(largest(v[output]) for c in both for v in (c.rms, c.mean)))
-    step = -(-n // 2) if cells.labels and n > MOST else n
-    return [_profile(both, output, floor, reach, range(k, min(k + step, n))) for k in range(0, n, step)]
-
-
-def _profile(both: Sequence[Cells], output: int, floor: float, reach: float, part: range) -> p.Panel:
-    cells, what = both[0], name(both[0].pose[output])
-    names = cells.labels[part.start : part.stop]
     factor, unit = scale(cells.pose[output], reach, cells.periodic)
-    half = min(0.4, 0.04 * len(part))  # few bars are no broader than many
-    middle = np.arange(len(part))
+    half = min(0.4, 0.04 * n)  # few bars are no broader than many
+    middle = np.arange(n)
     left, right = (middle - half, middle + half) if names else (cells.edges[:-1], cells.edges[1:])
     bands: list[p.Layer] = []
     means: list[p.Layer] = []
-    said: dict[int, str] = {}
+    said: list[str] = []
     for c, band, look in zip(both, p.BANDS[-len(both) :], p.MEDIANS[-len(both) :], strict=True):
-        rms, mean = (factor * v[output, part] for v in (c.rms, c.mean))
-        said = {}
-        for k, a, b in zip(part, mean, rms, strict=True):
-            where = c.labels[k] if names else _span(c.edges, k)
-            said[k] = f"{where}: mean {minus(number(a))}, rms {number(b)} {unit}, {c.count[k]:d} samples"
-        bands.append(p.boxes(left, right, -rms, rms, band, said=[*said.values()]))
+        rms, mean = factor * c.rms[output], factor * c.mean[output]
+        said = [
+            f"{c.labels[k] if names else _span(c.edges, k)}: mean {minus(number(mean[k]))}, "
+            f"rms {number(rms[k])} {unit}, {c.count[k]:d} samples"
+            for k in middle
+        ]
+        bands.append(p.boxes(left, right, -rms, rms, band, said=said))
         if names:  # a stroke for each
-            x, y = np.column_stack([left, right, np.full(len(left), np.nan)]), np.repeat(mean, 3)
+            x, y = np.column_stack([left, right, np.full(n, np.nan)]), np.repeat(mean, 3)
         else:
             x, y = 0.5 * (np.asarray(left) + right), mean
         means.append(p.line(np.ravel(x), y, look))
-    marked = [k - part.start for k in cells.marked if k in part]
-    levels = [p.level(factor * v) for v in (floor, -floor) if v]
-    worst = max(part, key=lambda k: np.nan_to_num(both[-1].rms[output, k]))
-    high = (1.25 if marked else 1.08) * factor * reach or 1.0
+    marks = len(cells.marked)
+    high = (1.25 if marks else 1.08) * factor * reach or 1.0
     return p.Panel(
-        p.Axis("", -0.6, len(part) - 0.4, names=names) if names else p.Axis(cells.by, left[0], right[-1]),
+        p.Axis("", -0.6, n - 0.4, names=names) if names else p.Axis(cells.by, left[0], right[-1]),
         p.Axis(low=-high, high=high),
         [
             *bands,
             *means,
-            *levels,
-            p.text(["h"] * len(marked), marked, [0.92 * high] * len(marked), "center"),
+            *(p.level(factor * v) for v in (floor, -floor) if v),
+            p.text(["h"] * marks, cells.marked, [0.92 * high] * marks, "center"),
         ],
         f"{what} [{unit}]",
-        f"{what} by {cells.by}: largest rms {said[worst]}",
+        f"{what} by {cells.by}: largest rms {said[int(np.argmax(np.nan_to_num(both[-1].rms[output])))]}",
     )
 
 

@@ -15,7 +15,7 @@ from hallsym.estimation.calibration import LogRecord
 from hallsym.log.columns import in_a_row
 from hallsym.report.content import Block, Folded, Heading, Items, Note, Runs, Section, Table, Words
 from hallsym.report.data.gather import Cells, RunSeries
-from hallsym.report.panels import Sizes, over_time, plane, profiles, script_data
+from hallsym.report.panels import Sizes, over_time, plane, profile, script_data
 from hallsym.report.picture import Picture
 from hallsym.report.tables import cells, concise, heads, in_units
 from hallsym.report.words import number
@@ -167,7 +167,7 @@ def _few(pictures: Sequence[Picture]) -> list[Block]:
 
 
 def _charts(both: Sequence[Cells], floor: Mapping[str, float]) -> list[Any]:
-    return [c for k, name_ in enumerate(both[0].pose) for c in profiles(both, k, floor.get(name_) or 0.0)]
+    return [profile(both, k, floor.get(output) or 0.0) for k, output in enumerate(both[0].pose)]
 
 
 def first_view(series: Sequence[RunSeries], found: Versions, floor: Mapping[str, float]) -> list[Block]:
@@ -180,7 +180,7 @@ def first_view(series: Sequence[RunSeries], found: Versions, floor: Mapping[str,
         charts = []
         for k, output in enumerate(along[0][0].pose):
             both = max(along, key=lambda each: _follows(each[0], k))
-            charts += profiles(both, k, floor.get(output) or 0.0)
+            charts.append(profile(both, k, floor.get(output) or 0.0))
         how = _how([*found], floor)
         blocks.append(Picture(charts, words=f"Over the coordinate that each error follows most. {how}"))
     return blocks
