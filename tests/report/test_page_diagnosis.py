@@ -126,7 +126,7 @@ def test_everything_of_a_record_is_said():
         "noise floor, estimated 1.1 1.6 1.3",
         "rmse, before 3 4.5 3.6 rmse, after 1.2 1.8 1.44",
         "peak, before 12 18 14.4 peak, after 4.8 7.2 5.76",
-        "One number over all outputs: 2.7 µm before, 1.1 µm after, 1 µm floor.",
+        "the error is one number over all outputs, on 5 holdout runs",
         "vertical_gain_coupling field linear 58.0 % (54.0 to 62.0) 93 % < 1e−6",
         "time_skew clock 7.0 % (−1.0 to 12.0) 4 % < 1e−6 lag",
         "time_skew, lag they are confusable on this log (1.2 sigma). Record y at 4 Hz and at 20 Hz.",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Sequence
-from dataclasses import asdict
 from itertools import product
 from math import isfinite, isnan
 from typing import Any
@@ -34,7 +33,7 @@ from hallsym.report.panels import Sizes
 from hallsym.report.picture import BEFORE
 from hallsym.report.results import shared
 from hallsym.report.tables import concise
-from hallsym.report.words import NOT_DECODED, amount, name, number, scale
+from hallsym.report.words import NOT_DECODED, name, number, scale
 from hallsym.units import parameter_unit, readable, scaled, typeset
 
 FEW_UNITS = 8
@@ -137,8 +136,9 @@ def p_text(p: float | None) -> str:
 
 def _basis(d: Diagnosis) -> str:
     judges = counted(len(d.validation_runs), d.held_out)
+    one = "the error is one number over all outputs, " if len(d.gap_before.rmse) > 1 else "errors are "
     said = "which took part in neither the fit nor the choice of effects"
-    return f"Model {d.model}; errors are on {judges}, {said}."
+    return f"Model {d.model}; {one}on {judges}, {said}."
 
 
 def _input(d: Diagnosis) -> Items:
@@ -188,22 +188,11 @@ def _errors(d: Diagnosis) -> Table:
 def _errors_section(d: Diagnosis) -> Section:
     """Return how far the error falls, and its size on fitted and holdout runs and by harmonic."""
     content: list[Block | str] = [*([shrinks_text(d)] if changed(d) and d.effects else [])]
-    content += [_metric(d)] if len(d.gap_before.rmse) > 1 else []
     content += _sizes(d)
     for coordinate in dict.fromkeys(w.coordinate for w in d.waves):
         content += _waves(d, coordinate)
     title = f"{'Before and after' if changed(d) else 'Errors'}, against the noise floor"
     return Section("errors", title, content)
-
-
-def _metric(d: Diagnosis) -> str:
-    """Return the gap as one number over all outputs, which shrinkage is measured by."""
-    outputs = tuple(d.gap_before.rmse)
-    column = next((c for c in outputs if c.endswith("_m")), outputs[0])
-    sizes = asdict(d.metric)
-    if not changed(d):
-        sizes = {"on the holdout runs": d.metric.before, "floor": d.metric.floor}
-    return f"One number over all outputs: {', '.join(f'{amount(column, v)} {k}' for k, v in sizes.items())}."
 
 
 def _sizes(d: Diagnosis) -> list[Block | str]:

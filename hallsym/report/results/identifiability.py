@@ -31,7 +31,7 @@ def identifiability_content(report: Identifiability) -> Content:
     cost = report.evidence.cost
     runs, recorded = len(cost.summary.runs), report.evidence.recorded
     amiss = report.evidence.amiss
-    entries = [e for e in report.parameters if e.verdict.word != "fixed"]
+    entries = shown(report)
     known = sum(e.std is not None for e in entries)
     verb = "will determine" if cost.planned else "determine" if runs > 1 else "determines"
     what = f"{runs} runs of {recorded}" if runs > 1 else recorded
@@ -58,7 +58,7 @@ def identifiability_content(report: Identifiability) -> Content:
             Section("parameters", "Parameters", [*_parameters(report), *combinations]),
             Section("lost", "What is not identifiable", null_text(report)),
             Section("further", "Further recordings", [further_table(report)] if report.further else []),
-            Section("effects", "Effect on the position", [effects_table(report), outputs_table(report)]),
+            Section("effects", "Effect on the position", [effects_table(report)]),
             Section("notes", "Evidence and notes", [*offsets_text(report.offsets), *notes]),
         ],
         columns=_columns(report),
@@ -171,18 +171,25 @@ LISTED = 8
 
 
 def effects_table(report: Identifiability) -> Table:
-    """Return the change of the decoded pose by 1 sigma and by 1 % of each parameter."""
+    """Return the change of the decoded pose by 1 sigma and by 1 % of each parameter, then by all together."""
     pose, period = report.model.pose, report.model.period
     head = ["largest effect", *heads(pose, period, "1 sigma"), *heads(pose, period, "1 %")]
-    entries = [entry for entry in report.parameters if entry.verdict.word != "fixed"]
-    lost = [entry for entry in entries if entry.std is None]
-    entries = [entry for entry in entries if len(lost) <= NAMED + 1 or entry not in lost[NAMED:]]
+    lost = [entry for entry in shown(report) if entry.std is None]
+    entries = [entry for entry in shown(report) if len(lost) <= NAMED + 1 or entry not in lost[NAMED:]]
     sigma = _numbers([entry.sigma for entry in entries], report.model)
     percent = _numbers([entry.percent for entry in entries], report.model)
     rows = [[e.name, *s, *p] for e, s, p in zip(entries, sigma, percent, strict=True)]
+    for key, label in TOGETHER.items():
+        sizes = cells([getattr(report.outputs[c], key) for c in pose], pose, period)
+        rows.append([label, *sizes, *[""] * len(pose)])
     return Table(head, rows, "largest change of the decoded pose by 1 sigma and by 1 % of each parameter")
 
 
+TOGETHER = {
+    "parameters_rms": "all parameters, rms",
+    "parameters_worst": "all parameters, worst",
+    "noise_floor": "noise of one reading",
+}
 NIL = 1e-9
 """Part of the largest change of a coordinate below which a change is a rounding error: 0."""
 
@@ -197,20 +204,6 @@ def _numbers(changes: Sequence[Change | None], model: Model) -> list[list[str]]:
 
     none = [""] * len(model.pose)
     return [cells(sizes(change), model.pose, model.period) if change else none for change in changes]
-
-
-def outputs_table(report: Identifiability) -> Table:
-    """Return the uncertainty of the decoded pose by all parameters together."""
-    pose, period = report.model.pose, report.model.period
-    rows = []
-    labels = {
-        "parameters_rms": "all parameters, rms",
-        "parameters_worst": "all parameters, worst",
-        "noise_floor": "noise of one reading",
-    }
-    for key, label in labels.items():
-        rows.append([label, *cells([getattr(report.outputs[c], key) for c in pose], pose, period)])
-    return Table(["decoded pose (1 sigma)", *heads(pose, period)], rows, "uncertainty of the decoded pose")
 
 
 def offsets_text(offsets: Offsets) -> list[str]:
