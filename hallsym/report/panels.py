@@ -37,7 +37,7 @@ def profile(both: Sequence[Cells], output: int, floor: float = 0.0) -> p.Panel:
         said = [
             f"{c.labels[k] if names else _span(c.edges, k)}: mean {minus(number(mean[k]))}, "
             f"rms {number(rms[k])} {unit}, {c.count[k]:d} samples"
-            for k in middle
+            for k in range(n)
         ]
         bands.append(p.boxes(left, right, -rms, rms, band, said=said))
         if names:  # a stroke for each

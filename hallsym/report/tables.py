@@ -3,6 +3,7 @@
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from itertools import zip_longest
 from textwrap import wrap
+from typing import Any
 
 import numpy as np
 
@@ -23,14 +24,15 @@ def grid(rows: Sequence[Sequence[str]], *, left: int = 1, words: bool = False) -
     """
     shown = [[printable(cell) for cell in row] for row in rows]
     limit, below = columns(), shown
-    widths: list[int] | None = [max(map(len, column)) for column in zip(*shown, strict=True)]
-    if limit is not None and _width(widths or []) > limit:
-        widths = _folded(shown, left, words, limit)
-        if widths is None and words:
+    widths = [max(map(len, column)) for column in zip(*shown, strict=True)]
+    if limit is not None and _width(widths) > limit:
+        found = _folded(shown, left, words, limit)
+        if found is None and words:
             shown, words = [row[:-1] for row in shown], False
-            widths = _folded(shown, left, words, limit)
-        if widths is None:
+            found = _folded(shown, left, words, limit)
+        if found is None:
             return "\n".join(_listed(below, min(left, len(below[0]) - 1), limit))
+        widths = found
     lines = []
     for k, (row, whole) in enumerate(zip(shown, below, strict=True)):
         if k == 1:
@@ -117,3 +119,12 @@ def cells(
     """Return values [SI], one of each column, in the units of their `heads`; nothing for none."""
     pairs = zip(values, columns, strict=True)
     return [number(v * readable(c, periodic)[0], digits) for v, c in pairs]
+
+
+def attributes(entries: Collection[Any], *names: str) -> dict[str, list[Any]]:
+    """Return attributes of entries as columns in SI; that of an `interval` is `low_95` and `high_95`."""
+    found = {name: [getattr(one, name) for one in entries] for name in names}
+    for k, end in enumerate(("low_95", "high_95")) if "interval" in found else ():
+        found[end] = [None if span is None else span[k] for span in found["interval"]]
+    found.pop("interval", None)
+    return found

@@ -10,6 +10,7 @@ import numpy as np
 from hallsym.output import percent
 from hallsym.report import picture as p
 from hallsym.report.content import Block, Content, Heading, Section, Table
+from hallsym.report.tables import attributes
 from hallsym.report.words import LEVEL, each, largest, minus, name, number, scale, sized
 from hallsym.trajectory import Curve
 from hallsym.uncertainty import Budget, Comparison, Recorded, Source, UncertaintyMap
@@ -63,10 +64,7 @@ def _columns(budget: Budget) -> dict[str, list[Any]]:
     """Return the sources of a budget as columns, in SI."""
     return {
         "source": [s.name for s in budget.sources],
-        "distribution": [s.distribution for s in budget.sources],
-        "std": [s.std for s in budget.sources],
-        "unit": [s.unit for s in budget.sources],
-        "sensitivity": [s.sensitivity for s in budget.sources],
+        **attributes(budget.sources, "distribution", "std", "unit", "sensitivity"),
         "contribution": np.asarray(budget.contributions).tolist(),
         "share": np.asarray(budget.shares).tolist(),
     }

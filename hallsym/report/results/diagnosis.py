@@ -32,7 +32,7 @@ from hallsym.report.data.gather import RunSeries
 from hallsym.report.panels import Sizes
 from hallsym.report.picture import BEFORE
 from hallsym.report.results import shared
-from hallsym.report.tables import concise
+from hallsym.report.tables import attributes, concise
 from hallsym.report.words import NOT_DECODED, name, number, scale
 from hallsym.units import parameter_unit, readable, scaled, typeset
 
@@ -98,16 +98,9 @@ def diagnosis_content(
 
 def _columns(d: Diagnosis) -> dict[str, list[Any]]:
     """Return the effects found as columns."""
-    return {
-        "effect": [e.name for e in d.effects],
-        "link": [e.link for e in d.effects],
-        "shrinkage": [e.shrinkage for e in d.effects],
-        "low_95": [e.interval[0] if e.interval else None for e in d.effects],
-        "high_95": [e.interval[1] if e.interval else None for e in d.effects],
-        "share": [e.share for e in d.effects],
-        "p_value": [e.p_value for e in d.effects],
-        "fit_with": [e.text for e in d.effects],
-    }
+    found = attributes(d.effects, "link", "shrinkage", "interval", "share", "p_value")
+    names, texts = [e.name for e in d.effects], [e.text for e in d.effects]
+    return {"effect": names, **found, "fit_with": texts}
 
 
 def _next(d: Diagnosis, fit: Fit | None, reading: Sequence[str]) -> tuple[str, str]:

@@ -28,7 +28,7 @@ from hallsym.report.data.periodic import periodic_of
 from hallsym.report.data.survey import MOST_SETTINGS, Group, Survey, held_out, look_over, settings
 from hallsym.report.results import shared
 from hallsym.report.results.periodic import periodic
-from hallsym.report.tables import concise
+from hallsym.report.tables import attributes, concise
 from hallsym.report.words import largest, name, number, scale
 from hallsym.units import parameter_unit, readable
 
@@ -217,22 +217,11 @@ def _own(fit: Fit, parameter: Parameter) -> Table:
 
 def _columns(fit: Fit) -> dict[str, list[Any]]:
     """Return the parameters of a fit as columns, in SI."""
-    found = fit.params
-    nan = float("nan")
-    ends = [one.interval or (nan, nan) for one in found.values()]
+    same = ("value", "std", "interval", "unit", "determined", "at_bound", "nominal", "lower", "upper")
     return {
-        "parameter": list(found),
-        "value": fit.values.tolist(),
-        "std": fit.std.tolist(),
-        "low_95": [low for low, _ in ends],
-        "high_95": [high for _, high in ends],
-        "unit": [one.unit for one in found.values()],
-        "determined": fit.determined.tolist(),
+        "parameter": list(fit.params),
+        **attributes(fit.params.values(), *same),
         "fixed": [n in fit.fixed for n in fit.model.names],
-        "at_bound": [n in fit.at_bound for n in fit.model.names],
-        "nominal": [p.nominal for p in fit.model.parameters],
-        "lower": [p.lower for p in fit.model.parameters],
-        "upper": [p.upper for p in fit.model.parameters],
         "meaning": [p.meaning for p in fit.model.parameters],
     }
 

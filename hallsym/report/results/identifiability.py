@@ -21,7 +21,7 @@ from hallsym.model import Model
 from hallsym.report import picture as p
 from hallsym.report.content import Block, Content, Section, Table
 from hallsym.report.results.shared import NAMED, called, few
-from hallsym.report.tables import cells, concise, heads, in_units
+from hallsym.report.tables import attributes, cells, concise, heads, in_units
 from hallsym.report.words import largest, minus, name, number, scale
 from hallsym.units import parameter_unit
 
@@ -68,15 +68,13 @@ def identifiability_content(report: Identifiability) -> Content:
 
 def _columns(found: Identifiability) -> dict[str, list[Any]]:
     """Return the parameters as columns, in SI."""
-    entries, nan = found.parameters, float("nan")
-    meanings = {p.name: p.meaning for p in found.model.parameters}
+    entries, meanings = found.parameters, {p.name: p.meaning for p in found.model.parameters}
+    spans = [e.interval and (e.interval.low, e.interval.high) for e in entries]
     return {
         "parameter": [e.name for e in entries],
-        "value": [e.value for e in entries],
-        "std": [nan if e.std is None else e.std for e in entries],
-        "low_95": [e.interval.low if e.interval else nan for e in entries],
-        "high_95": [e.interval.high if e.interval else nan for e in entries],
-        "unit": [e.unit for e in entries],
+        **attributes(entries, "value", "std", "unit"),
+        "low_95": [span and span[0] for span in spans],
+        "high_95": [span and span[1] for span in spans],
         "verdict": [e.verdict.word for e in entries],
         "meaning": [meanings.get(e.name, "") for e in entries],
     }
