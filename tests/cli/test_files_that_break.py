@@ -165,26 +165,21 @@ def test_campaigns_that_cannot_be(refused, tmp_path, text, words):
         assert re.search(words, refused(*arguments, tmp_path / "c.toml"))
 
 
-@pytest.mark.parametrize("position", [[197.5, 0.4], [True, 0.4], "12", [0.2], [float("nan"), 0.2]])
-def test_probes_of_another_machine(refused, tmp_path, position):
-    hallsym.write_log(columns(), tmp_path / "log.csv")
-    good = [[0.2, 0.4], [-0.2, 0.4], [0.2, 0.36]]
-    senses = [[0, 1], [0, 1], [1, 0]]
-    probes = [{"channel": f"hall_{'abc'[k]}_m", "position_m": good[k], "senses": senses[k]} for k in range(3)]
-    probes[0]["position_m"] = position
-    (tmp_path / "meta.json").write_text(json.dumps({"probes": probes}))
-    refused("fit", tmp_path)
+def probes(position):
+    """Three probes, the first of which stands at `position`."""
+    rows = zip("abc", (position, [-0.2, 0.4], [0.2, 0.36]), ([0, 1], [0, 1], [1, 0]), strict=True)
+    return {"probes": [{"channel": f"hall_{k}_m", "position_m": at, "senses": s} for k, at, s in rows]}
 
 
 @pytest.mark.parametrize(
     ("meta", "words"),
     [
+        *((probes(at), "") for at in ([197.5, 0.4], [True, 0.4], "12", [0.2], [float("nan"), 0.2])),
         ({"noise_1sigma": {"hal_m": 1e-7}}, "did you mean 'hall_m'"),
         ({"validaton_runs": [1]}, "did you mean 'validation_runs'"),
     ],
 )
-def test_misspelt_keys_of_a_meta_file(refused, tmp_path, meta, words):
-    hallsym.write_log(columns(), tmp_path / "log.csv")
+def test_what_a_meta_file_cannot_say(refused, log, tmp_path, meta, words):
     (tmp_path / "meta.json").write_text(json.dumps(meta))
     assert words in refused("fit", tmp_path)
 
@@ -192,27 +187,22 @@ def test_misspelt_keys_of_a_meta_file(refused, tmp_path, meta, words):
 # -- outputs ---------------------------------------------------------------------------------------------
 
 
-def test_an_output_that_is_an_input_is_refused_under_every_name(refused, log, tmp_path):
-    before = log.read_bytes()
+def test_an_output_that_is_an_input_is_refused_under_every_name(run, refused, log, tmp_path):
+    before, calib, machine = log.read_bytes(), tmp_path / "calib.json", tmp_path / "m.toml"
+    assert run("fit", log, "--solver", "direct", "-o", calib)[0] in (0, 3)
+    machine.write_text("[parameters.eta_A]\nnominal = 0.9\n")
     (tmp_path / "soft.json").symlink_to(log)
     os.link(log, tmp_path / "hard.json")
-    for name in (log, "soft.json", "hard.json", f"../{tmp_path.name}/log.csv"):
-        said = refused("fit", log, "--solver", "direct", "-o", tmp_path / name)
-        assert "which would be lost" in said
-    assert log.read_bytes() == before
-
-
-def test_an_output_that_another_option_reads_is_refused(run, refused, log, tmp_path):
-    assert run("fit", log, "--solver", "direct", "-o", tmp_path / "calib.json")[0] in (0, 3)
-    (tmp_path / "m.toml").write_text("[parameters.eta_A]\nnominal = 0.9\n")
-    calib = tmp_path / "calib.json"
     for arguments in (
+        *(["fit", log, "-o", tmp_path / name]
+          for name in (log, "soft.json", "hard.json", f"../{tmp_path.name}/log.csv")),
         ["report", calib, log, "-o", calib], ["report", calib, log, "-o", log],
         ["simulate", "--seed", "1", "--values", calib, "-o", calib],
-        ["fit", log, "--machine", tmp_path / "m.toml", "-o", tmp_path / "m.toml"],
+        ["fit", log, "--machine", machine, "-o", machine],
         ["sensitivity", calib, log, "-o", log], ["diagnose", log, "-o", log],
     ):  # fmt: skip
         assert "which would be lost" in refused(*arguments)
+    assert log.read_bytes() == before
 
 
 @pytest.mark.slow

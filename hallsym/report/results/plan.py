@@ -46,11 +46,9 @@ def plan_content(plan: Plan) -> Content:
         ],
         picture=lambda log: coverage(plan, None if log is None else as_log(log)),
         seconds=plan.seconds,
-        columns={
-            "runs": [k for k, _, _ in plan.groups()],
-            "setting": [setting for _, setting, _ in plan.groups()],
-            "trajectory": [trajectory for _, _, trajectory in plan.groups()],
-        },
+        columns=dict(
+            zip(("runs", "setting", "trajectory"), map(list, zip(*plan.groups(), strict=True)), strict=True)
+        ),
     )
 
 
