@@ -301,6 +301,13 @@ def test_a_series_keeps_its_peaks_and_gaps():
     assert sum(map(len, run["lines"][0])) < 60_000
 
 
+def test_a_short_series_is_drawn_sample_by_sample():
+    error = np.array([[1e-6, -2e-6, 0.5e-6]])
+    series = run_series("run 0", ("x_m",), np.array([0.0, 0.1, 0.2]), {"a": error})
+    (points,) = _points(_first_run(series)["lines"][0][0])
+    assert points == [(0, -UP // 2), (ACROSS // 2, UP), (ACROSS, -UP // 4)]
+
+
 def test_a_series_of_one_sample_or_none_kept_is_drawn():
     one = run_series("r", ("x_m",), np.array([3.0]), {"a": np.array([[1e-6]])})
     assert _first_run(one)["lines"][0][0]

@@ -14,6 +14,7 @@ from hallsym.diagnosis import examine, prepare
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, evaluate, fit
 from hallsym.families import build
+from hallsym.families.recording import Correction
 from hallsym.log import Log
 from hallsym.report.data.gather import diagnosed
 from hallsym.report.data.survey import COLUMNS, Survey, Trace, held_out, look_over, settings
@@ -128,6 +129,16 @@ def test_a_folder_that_cannot_be_is_one_sentence(log: Log, fitted: Fit, tmp_path
     with pytest.raises(InputError, match=r"^Cannot make the folder .*file.*\.$"):
         saved(log, fitted, tmp_path / "file" / "pictures")
     assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_corrections_of_the_fit_are_applied(log: Log, fitted: Fit) -> None:
+    a, b, *_ = fitted.model.channels
+    data = {name: log.array(name) for name in log.columns}
+    swapped = with_noise(data | {a: data[b], b: -data[a]})
+    wired = fitted.changed(corrections=(Correction("sign", (b,)), Correction("exchange", (a, b))))
+    right, drawn = (draw(plots.fit_figure(*made)).axes[0] for made in ((log, fitted), (swapped, wired)))
+    for line, same in zip(drawn.lines, right.lines, strict=True):
+        np.testing.assert_array_equal(line.get_ydata(), same.get_ydata())
 
 
 # -- an evaluation ----------------------------------------------------------------------------------------
