@@ -39,7 +39,7 @@ LISTED = (
 )  # fmt: skip
 LONG = {
     "README", "budget", "campaign", "codegen", "concepts", "controller", "diagnose", "evaluate", "extend",
-    "fleet", "halbach", "howto", "logs", "plan", "power", "report", "rotary", "self_calibration",
+    "fleet", "halbach", "howto", "logs", "plan", "power", "python", "report", "rotary", "self_calibration",
     "sensitivity", "sorting", "tables", "tolerances", "trajectory",
 }  # fmt: skip
 """Pages whose examples take more than a second of a processor: they run with the slow tests; what they name

@@ -29,23 +29,33 @@ MODULES = modules()
 
 
 @cache
-def nodes(path: Path) -> list[ast.AST]:
-    """Return all nodes of a module."""
-    return list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+def read(name: str) -> tuple[frozenset[str], frozenset[str]]:
+    """Return the modules that a module imports and its names of families, functions and types included.
+
+    Names that belong to one family are those of its code: what is said to people does not count.
+    """
+    out, words = set(), set()
+    for node in ast.walk(ast.parse(MODULES[name].read_text(encoding="utf-8"))):
+        match node:
+            case ast.ImportFrom(module=str(module)):
+                wholes = {f"{module}.{alias.name}" for alias in node.names}
+                out |= {whole if whole in MODULES else module for whole in wholes}
+                words.add(module)
+            case ast.Import():
+                out |= {alias.name for alias in node.names}
+            case ast.Name(id=word) | ast.Attribute(attr=word) | ast.arg(arg=word) | ast.alias(name=word):
+                words.add(word)
+            case ast.FunctionDef(name=word) | ast.ClassDef(name=word):
+                words.add(word)
+            case ast.Compare():
+                words |= {str(c.value) for c in ast.walk(node) if isinstance(c, ast.Constant)}
+    house = frozenset(m for m in out if m in MODULES and m != name)
+    return house, frozenset(word for word in words if FAMILY_NAMES.search(word))
 
 
-@cache
 def imported(name: str) -> frozenset[str]:
-    """Return the modules of the house that a module imports, type checking and functions included."""
-    out = set()
-    for node in nodes(MODULES[name]):
-        if isinstance(node, ast.ImportFrom) and node.module:
-            for alias in node.names:
-                whole = f"{node.module}.{alias.name}"
-                out.add(whole if whole in MODULES else node.module)
-        elif isinstance(node, ast.Import):
-            out |= {alias.name for alias in node.names}
-    return frozenset(m for m in out if m in MODULES and m != name)
+    """Return the modules of the house that a module imports."""
+    return read(name)[0]
 
 
 def package(name: str) -> str | None:
@@ -95,24 +105,9 @@ def test_every_package_is_one_that_the_layout_names() -> None:
     assert folders <= set(PACKAGES), folders - set(PACKAGES)
 
 
-def code_with_family_names(path: Path) -> list[str]:
-    """Return the names in a module that belong to one family; what is said to people does not count."""
-    words = []
-    for node in nodes(path):
-        if isinstance(node, ast.Name | ast.FunctionDef | ast.ClassDef | ast.arg | ast.alias | ast.Attribute):
-            words.append(getattr(node, "id", None) or getattr(node, "attr", None)
-                         or getattr(node, "arg", None) or node.name)  # fmt: skip
-        elif isinstance(node, ast.ImportFrom):
-            words.append(node.module or "")
-        elif isinstance(node, ast.Compare):
-            words += [str(c.value) for c in ast.walk(node) if isinstance(c, ast.Constant)]
-    return [word for word in words if FAMILY_NAMES.search(word)]
-
-
 def test_shared_code_names_no_family() -> None:
     shared = [name for name in SHARED if package(name) != "families" and name.startswith("hallsym")]
-    named = {name: code_with_family_names(MODULES[name]) for name in shared}
-    assert {name: words for name, words in named.items() if words} == {}
+    assert {name: read(name)[1] for name in shared if read(name)[1]} == {}
 
 
 def test_only_public_names_are_there_to_tab_through() -> None:

@@ -43,7 +43,7 @@ KINDS = ("Fit", "Evaluation", "Diagnosis", "Identifiability", "Plan", "Budget")
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_result_shows_itself(results: dict[str, Any], kind: str, tmp_path: Path) -> None:
+def test_a_result_shows_itself_in_every_form(results: dict[str, Any], kind: str, tmp_path: Path) -> None:
     from matplotlib.figure import Figure
 
     result = results[kind]
@@ -58,6 +58,17 @@ def test_a_result_shows_itself(results: dict[str, Any], kind: str, tmp_path: Pat
     figure.savefig(tmp_path / "a.png")
     result.save(tmp_path / "a.json")
     assert json.loads((tmp_path / "a.json").read_text()) == json.loads(json.dumps(result.to_dict()))
+    html = result._repr_html_()
+    assert html.count("<svg") >= (kind != "Diagnosis")
+    assert "<table" in html or kind in ("Plan", "Budget", "Identifiability")
+    assert "var(--" not in html
+    assert "<script" not in html
+    assert figure._repr_svg_().startswith("<?xml")
+    page = hallsym.report(result, tmp_path / "page.html").read_text(encoding="utf-8")
+    for part in ("viewport", 'class="card ', "prefers-color-scheme", "@media print", 'id="verdict"'):
+        assert part in page, part
+    assert "<svg viewBox" in page or kind == "Diagnosis"
+    assert 'class="key"' in page or kind != "Plan"
 
 
 def test_a_calibration_that_was_read_is_shown_with_its_log(
@@ -167,26 +178,6 @@ def test_predictions_and_residuals_agree_with_the_error_table(
     assert np.std(other["x_m"]) < 3e-6
     with pytest.raises(InputError, match="no column z_m"):
         fit.predict({"hall_a_m": [1.0, 2.0]})
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_notebook_shows_answer_table_and_picture(results: dict[str, Any], kind: str) -> None:
-    html = results[kind]._repr_html_()
-    assert html.count("<svg") >= (kind != "Diagnosis")
-    assert "var(--" not in html
-    assert "<table" in html or kind in ("Plan", "Budget", "Identifiability")
-    assert "<script" not in html
-    figure = results[kind].plot()
-    assert figure._repr_svg_().startswith("<?xml")
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_every_result_has_a_page(results: dict[str, Any], kind: str, tmp_path: Path) -> None:
-    page = hallsym.report(results[kind], tmp_path / "page.html").read_text(encoding="utf-8")
-    for part in ("viewport", 'class="card ', "prefers-color-scheme", "@media print", 'id="verdict"'):
-        assert part in page, part
-    assert "<svg viewBox" in page or kind == "Diagnosis"
-    assert 'class="key"' in page or kind != "Plan"
 
 
 def test_errors_of_calls_advise_arguments_and_those_of_commands_options(

@@ -22,8 +22,8 @@ from hallsym.families import FAMILIES, machine_file, suggest
 from hallsym.log import continuous, near, open_source, wrapped
 from hallsym.model import Family, Parameter, effect
 from hallsym.report.results import info
-from hallsym.report.views import page_of, summary
-from hallsym.simulation import campaign_from, paper_campaign
+from hallsym.report.views import summary
+from hallsym.simulation import campaign_from
 
 HARMONIC = {"h2c": 3e-3, "h2s": 1e-3}
 BOX = {"x_m": (-1e-2, 1e-2), "z_m": (4e-3, 6e-3)}
@@ -102,22 +102,16 @@ def test_a_fit_finds_what_was_simulated(start):
         assert rmse[coordinate] == pytest.approx(floor, rel=0.15)
 
 
-def test_a_calibration_is_written_and_read(tmp_path):
-    _, fit = fitted()
-    fit.save(tmp_path / "calib.json")
-    known = hallsym.load_fit(tmp_path / "calib.json", families=(ARRAY,))
-    assert known.model.family is ARRAY
-    assert np.array_equal(known.values, fit.values)
-    with pytest.raises(InputError, match="Model must be one of"):
-        hallsym.load_fit(tmp_path / "calib.json")
-
-
-def test_an_effect_of_the_family_is_saved_by_its_name(tmp_path):
+def test_a_calibration_and_its_effect_are_saved_by_their_names(tmp_path):
     model = ARRAY.models[0]()
     fit = hallsym.fit(recorded(second_harmonic(model), HARMONIC), model, effects=["second_harmonic"])
     fit.save(tmp_path / "calib.json")
     assert json.loads((tmp_path / "calib.json").read_text())["added"] == ["second_harmonic"]
     known = hallsym.load_fit(tmp_path / "calib.json", families=(ARRAY,))
+    assert known.model.family is ARRAY
+    assert np.array_equal(known.values, fit.values)
+    with pytest.raises(InputError, match="Model must be one of"):
+        hallsym.load_fit(tmp_path / "calib.json")
     assert known.value("h2c") == pytest.approx(HARMONIC["h2c"], rel=0.05)
 
 
@@ -126,14 +120,6 @@ def test_what_the_log_determines_is_said():
     found = hallsym.identify(fit, profiles="none")
     assert found.structural.rank == found.structural.of == len(fit.model.names)
     json.dumps(found.to_dict())
-
-
-def test_a_log_without_a_gap_has_none():
-    log, fit = fitted()
-    found = hallsym.diagnose(log, fit.model, holdout=[2])
-    assert (found.verdict, found.effects) == ("no gap", ())
-    assert page_of(found).startswith("<!doctype html>")
-    assert json.loads(json.dumps(found.to_dict()))["verdict"] == "no gap"
 
 
 def test_an_effect_of_the_family_is_named():
@@ -166,17 +152,6 @@ def test_pictures_of_a_fit_are_drawn(tmp_path):
     log, fit = fitted()
     written = save({"errors": lambda: fit_figure(log, fit)}, tmp_path)
     assert all(path.stat().st_size > 1000 for path in written)
-
-
-def test_what_to_record_is_planned():
-    _, fit = fitted()
-    ranges = hallsym.Ranges(
-        BOX, (1.0, 1.3, 1.7, 2.0, 2.4, 3.0), 1.0, runs=3, trajectories=("one-axis", "combined")
-    )
-    found = hallsym.plan(ranges, fit.model, ARRAY.example.values, ARRAY.example.noise)
-    assert found.after.std is not None
-    assert len(found.campaign.runs) == 3
-    assert set(found.campaign.runs[0].setting) <= set(fit.model.pose)
 
 
 def test_a_position_has_an_uncertainty():
@@ -281,14 +256,6 @@ def test_runs_are_brought_to_one_origin_of_x():
     origin = {run: whole.table.shifts["x_ref_m"][run] for run in whole.runs}
     for k, run in enumerate(whole.runs):
         assert abs(wrapped(origin[run] - origin[0] - shift[k], 0.03)) < 2e-5
-
-
-# -- logs of others ----------------------------------------------------------------------------------------
-
-
-def test_the_paper_s_campaign_is_no_log_of_an_array():
-    with pytest.raises(InputError, match="array_2dof has not"):
-        hallsym.simulate(ARRAY.models[0](), {}, paper_campaign(), seed=1)
 
 
 # -- a family whose code fails -----------------------------------------------------------------------------

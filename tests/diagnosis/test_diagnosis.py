@@ -8,7 +8,7 @@ from gap_twins import faulty, listed, machine, unlisted
 from twins import record, with_noise
 
 import hallsym
-from hallsym.diagnosis import POLICY, Base, Diagnosis, diagnose, load_effects
+from hallsym.diagnosis import POLICY, Base, diagnose, load_effects
 from hallsym.diagnosis.facts import rails_of
 from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.p_values import beyond
@@ -22,14 +22,10 @@ from hallsym.model import Model, Parameter, Variant
 from hallsym.model.derived import HALVES, rate, run_time, widest_half
 from hallsym.model.effect import as_effect
 
-SLOW = pytest.mark.slow
-NAMED = (
+NAMED = (  # others are diagnosed and fitted in test_fit_effects.py
     ("odd_nonlinearity", "raster"),
-    pytest.param("mount_slip", "grid", marks=SLOW),
-    pytest.param("hysteresis", "multisine", marks=SLOW),
-    pytest.param("mains_hum", "raster", marks=SLOW),
-    pytest.param("second_order_rotation", "turning", marks=SLOW),
-    pytest.param("reference_drift", "multisine", marks=SLOW),
+    ("second_order_rotation", "turning"),
+    ("reference_drift", "multisine"),
 )
 
 
@@ -38,13 +34,7 @@ def hidden(name: str, campaign: str, seed: int = 1, kind=listed, **options) -> L
     return machine(campaign, (effect,), seed=seed, temperature="temperature" in name, **options)
 
 
-@pytest.fixture(scope="module")
-def quiet() -> tuple[Log, Diagnosis]:
-    """A machine without a gap, and its diagnosis."""
-    log = machine("multisine", seed=5, thin=6)
-    return log, diagnose(log)
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "campaign"), NAMED)
 def test_a_hidden_effect_is_named_and_closes_the_gap(name: str, campaign: str) -> None:
     # at 8 mrad the probes move by 3 mm: the twin's small cubic field would be no small one there
@@ -58,9 +48,7 @@ def test_a_hidden_effect_is_named_and_closes_the_gap(name: str, campaign: str) -
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", ["clock_jitter", *(pytest.param(n, marks=SLOW) for n in ("outliers", "adc_quantisation"))]
-)
+@pytest.mark.parametrize("name", ["clock_jitter", "outliers", "adc_quantisation"])
 def test_a_fault_of_samples_is_named(name: str) -> None:
     found = diagnose(hidden(name, "multisine", kind=faulty))
     assert (found.verdict, found.ranked[0]) == ("explained", name)
@@ -68,16 +56,12 @@ def test_a_fault_of_samples_is_named(name: str) -> None:
         assert found.effects[0].parameters["jitter"].value == pytest.approx(6e-4, rel=0.1)
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=SLOW) for n in ("ripple", "speed_gain")])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ripple", "speed_gain"])
 def test_what_no_catalogue_lists_is_unexplained(name: str) -> None:
     found = diagnose(hidden(name, "raster", kind=unlisted))
     assert found.verdict == "unexplained"
     assert found.unexplained
-
-
-def test_white_noise_is_no_gap(quiet: tuple[Log, Diagnosis]) -> None:
-    _, found = quiet
-    assert (found.verdict, found.ranked, found.groups) == ("no gap", (), ())
 
 
 @pytest.mark.slow

@@ -58,8 +58,7 @@ def found(name: str) -> tuple[Base, Located]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "link"),
-    [("odd_nonlinearity", "field"), pytest.param("height_quadratic", "transducer", marks=pytest.mark.slow)],
+    ("name", "link"), [("odd_nonlinearity", "field"), ("height_quadratic", "transducer")]
 )
 def test_the_link_is_the_one_that_the_gap_was_put_in(name: str, link: str) -> None:
     _, here = found(name)
@@ -104,9 +103,7 @@ def test_an_effect_of_a_user_counts_for_the_link_that_it_changes() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "kind", [k if k == "correlated" else pytest.param(k, marks=pytest.mark.slow) for k in NOISES]
-)
+@pytest.mark.parametrize("kind", NOISES)
 def test_noise_gets_no_statement_of_a_link_an_output_or_a_sensor(kind: str) -> None:
     """Noise that is larger than stated: there is an excess, but in no link."""
     log = Log.from_arrays(record(seed=5, samples=24, **NOISES[kind]), noise=stated(0.85))

@@ -30,23 +30,14 @@ def rows() -> list[dict]:
         ("vibration", "stage", 8, False, 50367),  # the references' noise makes an acceleration of its own
         # tails heavier than the body says, and no spikes
         pytest.param("t3", "stage", 24, False, 30219, marks=pytest.mark.slow),
+        # of one recording: rings for three slices, hum if slices are independent
+        pytest.param("vibration", "rotary", 1, False, 49, marks=pytest.mark.slow),
+        # a field that is on in some slices
+        pytest.param("ar10", "rotary", 1, False, 122, marks=pytest.mark.slow),
     ],
 )
 def test_noise_of_few_runs_is_no_gap(kind, machine, runs, stated, seed):
     row = tried(kind, machine, runs, stated, seed)
-    assert (row["verdict"], row["effects"]) == ("no gap", [])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("kind", "stated", "seed"),
-    [
-        ("vibration", False, 49),  # rings for three slices: hum, if slices are independent
-        ("ar10", False, 122),  # a field that is on in some slices
-    ],
-)
-def test_noise_of_one_recording_is_no_gap(kind, stated, seed):
-    row = tried(kind, "rotary", 1, stated, seed)
     assert (row["verdict"], row["effects"]) == ("no gap", [])
 
 
@@ -75,7 +66,7 @@ def test_one_in_twenty_null_logs_has_a_p_value_below_five_per_cent(rows):
     ],
 )
 def test_noise_that_the_statement_leaves_out_has_no_small_p_value_more_often(kind, machine):
-    drawn = [s for s in settings(48, 97_000, (kind,)) if s[1] == machine]
+    drawn = [s for s in settings(48, 97_000, (kind,)) if s[1] == machine and s[2] < 57]
     p = [tried(*setting)["p"] for setting in drawn]
     assert binomtest(sum(x < LEVEL for x in p), len(p), LEVEL, alternative="greater").pvalue > SELDOM
 

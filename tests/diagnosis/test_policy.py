@@ -26,7 +26,7 @@ from hallsym.diagnosis.curves import LackOfFit, Shape
 from hallsym.diagnosis.facts import facts_of, switched_runs
 from hallsym.diagnosis.faults import of_samples
 from hallsym.diagnosis.localisation import clear
-from hallsym.diagnosis.p_values import clusters, memory
+from hallsym.diagnosis.p_values import memory
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.refit import refit, with_model
 from hallsym.diagnosis.report import confusable, smaller_findings
@@ -177,14 +177,6 @@ def test_smaller_findings_are_certain_and_below_the_threshold():
 # -- what is independent, and what its tails are like --------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("policy", "ends", "parts"), [(POLICY, 3.0, 10), (replace(POLICY, forgotten=0.2, memories=2.0), 2.0, 20)]
-)
-def test_a_memory_ends_where_it_is_forgotten_and_several_memories_apart_is_independent(policy, ends, parts):
-    colour, run = np.array([1.0, 0.5, 0.1, 0.01]), np.zeros(40, int)
-    assert (memory(colour, policy), clusters(run, policy, memories=1.0).max() + 1) == (ends, parts)
-
-
 def test_noise_with_heavy_tails_has_no_spectrum_to_go_by(monkeypatch):
     white = np.random.default_rng(0).standard_normal((60, 2, 500))
     made = [SimpleNamespace(used=np.ones(500, bool), residual=run) for run in white]
@@ -221,11 +213,6 @@ def spiky() -> tuple[np.ndarray, np.ndarray]:
     rest = rng.standard_normal(4000) ** 2
     rest[500:4000:500] += 100.0
     return rng.standard_normal(4000), rest
-
-
-def test_tails_of_the_noise_are_expected_to_hold_more_spikes_than_its_body_tells():
-    p = sampled(*spiky())["outliers"]
-    assert sampled(*spiky(), replace(POLICY, tails=1.0))["outliers"] < 0.1 * p
 
 
 def test_time_shifts_that_last_are_no_jitter():

@@ -113,8 +113,8 @@ def test_another_layout_and_finite_rotation_are_fitted_too():
 # -- solvers and seeds -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("solver", ["hybrid", "screening"])
-def test_every_named_solver_reaches_what_direct_does(log, found, solver):
+@pytest.mark.parametrize("solver", ["hybrid", "tlbo", "screening"])
+def test_every_named_solver_reaches_the_optimum(log, found, solver):
     result = fit(log, "stage31", solver=solver)
     assert result.solver.name == solver
     assert result.solver.cost == pytest.approx(found.solver.cost, rel=1e-9)
@@ -230,12 +230,6 @@ def test_unknown_options_are_refused(log, options, said):
 # -- outliers --------------------------------------------------------------------------------------------
 
 
-def test_clean_logs_lose_no_sample(log, found):
-    assert not any("spike" in note for note in found.notes)
-    rejected = fit(log, "stage31", solver="direct", loss="reject")
-    same(found, rejected)
-
-
 @pytest.mark.parametrize("loss", ["reject", "tukey"])
 def test_robust_losses_bear_outliers_that_plain_least_squares_does_not(loss):
     log = with_noise(record(seed=23, samples=100, outlier_share=0.01, outlier_size=1e-3))
@@ -250,22 +244,6 @@ def test_robust_losses_bear_outliers_that_plain_least_squares_does_not(loss):
     assert worst > 10
 
 
-# -- what is said ----------------------------------------------------------------------------------------
-
-
-def test_the_record_says_what_was_done(found):
-    record_ = found.to_dict()
-    assert record_["status"] == "converged"
-    assert record_["log"]["rows"] == 57 * SMALL
-    assert record_["solver"]["cost_per_degree_of_freedom"] == pytest.approx(
-        1.0, abs=4 * np.sqrt(2 / (57 * SMALL * 3))
-    )
-    assert set(record_["errors"]) == {"designed", "fitted", "holdout"}
-    for name, floor in record_["noise_floor"].items():
-        assert record_["errors"]["fitted"]["rmse"][name] == pytest.approx(floor, rel=0.1)
-        assert record_["errors"]["designed"]["rmse"][name] > 5 * floor
-
-
 def test_zero_deviations_beyond_their_bounds_are_reported_not_clipped(columns):
     far = {c: v.copy() for c, v in columns.items()}
     far["hall_b_m"][columns["run"] == 4] += 30e-6
@@ -277,15 +255,15 @@ def test_zero_deviations_beyond_their_bounds_are_reported_not_clipped(columns):
 
 @pytest.mark.slow
 def test_gross_outliers_do_no_harm_over_many_seeds():
-    """10 % of every reading and reference off by up to 1 mm or 1 mrad; all of 15 fits stay right."""
+    """10 % of every reading and reference off by up to 1 mm or 1 mrad; all of 8 fits stay right."""
     model, truth = build("stage31"), values("table7_estimates")
     sigma, p = table8_noise(model).sigma, build("stage31").vector(values("table7_estimates"))
     noise = Noise.given(sigma, tuple(sigma))
     right = 0
-    for seed in range(15):
+    for seed in range(8):
         spoilt = simulate(
             model, truth, paper_campaign(step_s=0.01), NoiseModel(sigma, outlier_share=0.1), seed=seed
         )
         found = fit(Log.from_arrays(spoilt, noise=noise), model, solver="direct")
         right += np.nanmax(np.abs((found.values - p) / found.std)) < 5
-    assert right == 15
+    assert right == 8

@@ -234,30 +234,7 @@ def test_gains_and_the_field_have_one_free_factor():
     assert np.abs((fit.values[own] - true) / fit.std[own]).max() < 3.5
 
 
-@pytest.mark.slow
-def test_an_effect_is_diagnosed():
-    model = halbach(NINE)
-    log = recorded(transducer.gain_mismatch(model), {"gain_0": 0.012, "gain_4": -0.009, "gain_6": 0.01})
-    found = hallsym.diagnose(log, model, holdout=[1, 4])
-    assert (found.verdict, found.ranked[0]) == ("explained", "gain_mismatch")
-
-
-@pytest.mark.slow
-def test_a_log_without_a_gap_has_none():
-    model = halbach(NINE)
-    assert hallsym.diagnose(recorded(model), model, holdout=[1, 4]).verdict == "no gap"
-
-
 # -- layouts and bad input -----------------------------------------------------------------------------------
-
-
-def test_a_calibration_keeps_its_layout(tmp_path):
-    layout = columns((-0.012, 0.001, 0.011, 0.02), 0.033, length_m=0.3)
-    log = recorded(halbach(layout), runs=4)
-    fit = hallsym.fit(log, halbach(layout), solver="direct")
-    fit.save(tmp_path / "calib.json")
-    assert hallsym.load_fit(tmp_path / "calib.json").model.layout == layout
-    assert arrays(layout)["X"].wavelength_m == 0.033
 
 
 def test_two_sensors_half_a_wavelength_apart_tell_no_position():

@@ -91,13 +91,6 @@ def test_a_level_mover_is_the_model_of_x_and_z(model):
         assert np.allclose(six[: len(x1)], two, atol=1e-13)
 
 
-def test_sums_of_three_cancel_the_crossing_array():
-    """A sum of three a third of a wavelength apart leaves nothing of a field that is periodic along it."""
-    thirds = np.arange(3) * 0.01
-    for phase in np.linspace(0, 6, 7):
-        assert np.sum(np.cos(2 * np.pi * thirds / 0.03 + phase)) == pytest.approx(0, abs=1e-12)
-
-
 def test_layouts_that_do_not_tell_six_coordinates_are_refused():
     layout = planar.pinwheel()
     kept = [s for s in sensors(layout) if s.array != "Y2"]

@@ -17,11 +17,6 @@ GAINS = ["eta_A", "eta_B", "eta_C"]
 ANGLES = ["theta_A", "theta_B", "theta_C"]
 
 
-def micro(printed: str) -> tuple[float, ...]:
-    """Read numbers printed in um or urad: exact, where a product with 1e-6 would round twice."""
-    return tuple(float(f"{number}e-6") for number in printed.split())
-
-
 def records(name: str, *columns: str) -> list[tuple]:
     return list(zip(*(table(name)[column] for column in columns), strict=True))
 

@@ -117,10 +117,6 @@ def test_a_wiring_is_what_its_corrections_say(text):
 # -- what was made is undone -------------------------------------------------------------------------------
 
 
-def mean_of_five(x):
-    return np.convolve(np.pad(x, 2, mode="edge"), np.ones(5) / 5, "valid")
-
-
 WRONG = {
     "sign hall_a_m,x_ref_m": lambda d: {A: -d[A], X: -d[X]},
     "sign hall_a_m in 3": lambda d: {A: np.where(run_of(d, 3), -d[A], d[A])},

@@ -8,7 +8,7 @@ import pytest
 
 import hallsym
 from hallsym.cli.main import main
-from hallsym.diagnosis import diagnose, model_on
+from hallsym.diagnosis import model_on
 from hallsym.errors import InputError
 from hallsym.estimation.evaluate import judged
 from hallsym.families import adapted, build, effects
@@ -202,18 +202,6 @@ def written(log: Log, path: Path) -> Path:
     columns = [log.array(c) for c in log.columns]
     np.savetxt(path, np.column_stack(columns), delimiter=",", header=",".join(log.columns), comments="")
     return path
-
-
-@pytest.mark.slow
-def test_what_is_diagnosed_on_an_encoder_is_what_is_fitted() -> None:
-    log = encoder(late, "angle")
-    found = diagnose(log, "rotary")
-    texts = [e.text for e in found.effects]
-    assert texts
-    assert all(texts)
-    fit = hallsym.fit(log, "rotary", effects=texts, holdout=found.validation_runs, solver="direct")
-    after = fit.errors.rows()["holdout"]["rmse"]["angle_rad"]
-    assert after == pytest.approx(found.gap_after.rmse["angle_rad"], rel=0.04)
 
 
 # -- logs that are refused ---------------------------------------------------------------------------------

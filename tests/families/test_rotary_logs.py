@@ -308,15 +308,14 @@ def test_a_recorded_resolver_loads_as_it_is(name, most):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("model", ["rotary", "rotary_ideal"])
-def test_a_recorded_resolver_is_overdriven_late_and_its_reference_short(model):
+def test_a_recorded_resolver_is_overdriven_late_and_its_reference_short():
     folder = BESIDE / "real" / "rotary-resolver-amci"
     if not folder.is_dir():
         pytest.skip("no folder of a recorded resolver beside the repository")
     columns = {"angle_deg": "resolver_deg", "angle_ref_deg": "ref_deg"}
     for name, clipped in (("normal_connection", True), ("divider_on_excitation", False)):
         log = hallsym.read_log(folder / f"{name}.csv", columns=columns)
-        d = diagnose(log, model)
+        d = diagnose(log, "rotary")
         assert (d.ranked[0] == "saturation") == clipped, name
         found = {e.name: {n: p.value for n, p in e.parameters.items()} for e in d.effects}
         (late,) = (v for n in ("time_skew", "first_order_lag") if n in found for v in found[n].values())

@@ -172,18 +172,6 @@ def test_zero_deviations_scatter_as_much_as_their_uncertainty_says():
     assert np.mean(squares) == pytest.approx(1.0, abs=0.1)
 
 
-@pytest.mark.slow
-def test_correlated_noise_is_met_by_the_scatter_between_runs():
-    log = with_noise(record(seed=6, correlation_s=0.1))
-    found = identify(fit(log, true_model(), solver="direct"), profiles="none")
-    told = found.evidence.uncertainty
-    assert told.method == "runs as blocks"
-    assert "scores of the 57 runs" in told.reason
-    assert all(e.interval.how == "student" for e in found.parameters if e.std is not None)
-    white = identify(fit(with_noise(record(seed=6)), true_model(), solver="direct"), profiles="none")
-    assert white.evidence.uncertainty.method == "likelihood"
-
-
 # -- no family in it -------------------------------------------------------------------------------------
 
 
