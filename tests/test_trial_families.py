@@ -14,9 +14,10 @@ import pytest
 from firmware import need, ran
 from recordings import Size, machine
 from trial_families import ARRAY, second_harmonic
+from twins import simulated
 
 import hallsym
-from hallsym import InputError, Log, Meta, Noise, NoiseModel, families
+from hallsym import InputError, Log, Meta, families
 from hallsym.cli.main import main
 from hallsym.families import FAMILIES, machine_file, suggest
 from hallsym.log import continuous, near, open_source, wrapped
@@ -33,11 +34,9 @@ each_family = pytest.mark.parametrize("family", [*FAMILIES, ARRAY], ids=str)
 def recorded(model, extra=None) -> Log:
     """The log of the family's example."""
     example = model.family.example
-    campaign = campaign_from(example.campaign, "the example")
-    values = {n: v for n, v in {**example.values, **(extra or {})}.items() if n in model.names}
     noise = {c: s for c, s in example.noise.items() if c in (*model.channels, *model.references)}
-    columns = hallsym.simulate(model, values, campaign, NoiseModel(noise), seed=1)
-    return Log.from_arrays(columns, Noise.given(noise, tuple(columns)))
+    plan = campaign_from(example.campaign, "the example")
+    return simulated(model, {**example.values, **(extra or {})}, plan, noise)
 
 
 @cache

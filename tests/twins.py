@@ -93,6 +93,18 @@ def with_noise(columns: Mapping[str, np.ndarray], sigma: Mapping[str, float] = S
     return Log.from_arrays(columns, noise=Noise({c: Sigma(s, "given") for c, s in sigma.items()}))
 
 
+def simulated(
+    model: Model, values: Mapping[str, float], plan: Campaign, sigma: Mapping[str, float], seed: int = 1
+) -> Log:
+    """Return the log of a machine of any model, with white noise of the size that it states.
+
+    `values`: of parameters, those of the model are taken.
+    """
+    known = {n: v for n, v in values.items() if n in model.names}
+    made = simulate(model, known, plan, NoiseModel(sigma), seed=seed)
+    return Log.from_arrays(made, Noise.given(sigma, tuple(made)))
+
+
 @cache
 def campaign(samples: int = 50) -> Campaign:
     """Return the paper's 57 runs with few samples each."""

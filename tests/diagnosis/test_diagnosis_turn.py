@@ -1,9 +1,8 @@
 """Diagnoses of one turn: tables of knots and an overdriven input, made by numpy alone."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from beside import REAL, needs
 from scipy.ndimage import gaussian_filter1d
 
 from hallsym.diagnosis import POLICY, diagnose, prepare
@@ -14,6 +13,7 @@ from hallsym.log import Log, check_log, read_log
 from hallsym.report.views import summary
 
 DEG = np.pi / 180
+UNDULATORS = REAL / "linear-hall-undulators"
 
 
 def table(waves: dict[int, tuple[float, float]], noise_deg: float = 0.01, seed: int = 0) -> Log:
@@ -195,15 +195,12 @@ def test_magnet_errors_that_repeat_nowhere_foretell_no_other_stretch():
     assert any("groups of single knots" in note for note in runs.notes)
 
 
+@needs(UNDULATORS)
 @pytest.mark.slow
 def test_a_measured_line_is_held_out_in_stretches():
     """Three lines of undulators; interleaved knots said 30.5 to 30.6 % of the first."""
-    folder = next((p for p in Path(__file__).parents if (p / "shared").exists()), Path()) / "shared/real"
     for name in ("carnauba_two_probes_5.5mm", "delta_sabia_phase04_raw_x0", "deltaB_phase07_x0"):
-        file = folder / "linear-hall-undulators" / f"{name}.csv"
-        if not file.is_file():
-            pytest.skip("no folder of recorded undulators beside the repository")
-        found = diagnose(read_log(file, columns={"angle_ref_deg": "ref_deg"}), "rotary")
+        found = diagnose(read_log(UNDULATORS / f"{name}.csv", columns={"angle_ref_deg": "ref_deg"}), "rotary")
         assert found.verdict == "unexplained"
         assert any("stretches of" in note for note in found.notes)
         low, high = found.shrinkage.interval or (0.0, 1.0)

@@ -5,9 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from beside import REAL, needs
 from gap_twins import machine
+from twins import simulated
 
-from hallsym import Fit, NoiseModel, evaluate, fit, read_log, simulate
+from hallsym import Fit, evaluate, fit, read_log
 from hallsym.diagnosis import Diagnosis, diagnose
 from hallsym.families.halbach.layout import columns
 from hallsym.families.halbach.models import FAMILY, halbach
@@ -15,7 +17,6 @@ from hallsym.log import Log, Noise, as_log
 from hallsym.simulation import campaign_from
 
 ROOT = Path(__file__).parents[2]
-REAL = ROOT.parent / "shared" / "real"
 QUIET = {"seed": 3, "thin": 6, "pink": 0.0, "curvature": 0.0, "noise": "white"}
 
 
@@ -68,7 +69,7 @@ def test_waves_of_any_number_are_not_the_noise_of_a_table(size: float) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not REAL.is_dir(), reason="no folder of recordings beside the repository")
+@needs(REAL)
 @pytest.mark.parametrize("folder", ["rotary-mechaduino-luts", "maker-tables", "linear-hall-undulators"])
 def test_recordings_whose_error_repeats_are_never_without_a_gap(folder: str) -> None:
     columns = {
@@ -96,11 +97,8 @@ def test_the_floor_is_that_of_the_runs_that_judge() -> None:
     ]
     model = halbach(columns([(j - 4) * 0.01 for j in range(9)]))
     noise = dict.fromkeys(model.channels, 2e-3) | {"x_ref_m": 2e-6, "z_ref_m": 2e-6}
-    made = simulate(
-        model, FAMILY.example.values, campaign_from({"step_s": 0.008, "run": runs}, "gaps"),
-        NoiseModel(noise), seed=1,
-    )  # fmt: skip
-    log = Log.from_arrays(made, Noise.given(noise, tuple(made)))
+    plan = campaign_from({"step_s": 0.008, "run": runs}, "gaps")
+    log = simulated(model, FAMILY.example.values, plan, noise)
     d = diagnose(log, model, holdout=[2])
     assert d.verdict == "no gap"
     assert d.metric.before == pytest.approx(d.metric.floor, rel=0.08)

@@ -1,9 +1,8 @@
 """Products of stacked rows are those of the columns written out, sample by sample."""
 
 import numpy as np
+from twins import simulated
 
-import hallsym
-from hallsym import Log, Noise, NoiseModel
 from hallsym.diagnosis.normal_equations import Columns, normal_equations
 from hallsym.diagnosis.setup import prepare
 from hallsym.estimation.decoding import decoding_gain
@@ -27,8 +26,8 @@ def test_products_are_those_of_columns_written_out():
     model = halbach(columns([(j - 4) * 0.01 for j in range(9)]))
     noise = dict.fromkeys(model.channels, 1e-3) | {"x_ref_m": 2e-6, "z_ref_m": 2e-6}
     campaign = campaign_from({**FAMILY.example.campaign, "step_s": 0.02}, "the example")
-    made = hallsym.simulate(model, FAMILY.example.values, campaign, NoiseModel(noise), seed=1)
-    base = prepare(Log.from_arrays(made, Noise.given(noise, tuple(made))), model, holdout=[1, 4]).base
+    log = simulated(model, FAMILY.example.values, campaign, noise)
+    base = prepare(log, model, holdout=[1, 4]).base
     tried = {}
     for effect in (
         transducer.gain_mismatch,

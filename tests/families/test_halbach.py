@@ -6,13 +6,13 @@ rectangles, which must add up to the array's harmonics; symmetry (a shift of all
 
 from dataclasses import replace
 from math import exp, pi, sin
-from pathlib import Path
 
 import numpy as np
 import pytest
+from twins import simulated
 
 import hallsym
-from hallsym import InputError, Log, Noise, NoiseModel
+from hallsym import InputError, Log
 from hallsym.families import build
 from hallsym.families.halbach import FAMILY
 from hallsym.families.halbach.effects import field, magnets, mechanics, transducer
@@ -37,16 +37,11 @@ def read(model, values, x, z):
     return np.array([np.array(model.reading(p, [], [a, b], [])).ravel() for a, b in zip(x, z, strict=True)]).T
 
 
-def recorded(model, values=None, seed=1, runs=None):
+def recorded(model, values=None):
     """The log of the family's example."""
-    campaign = dict(FAMILY.example.campaign)
-    campaign["run"] = list(campaign["run"])[:runs]
     noise = dict.fromkeys(model.channels, 0.001) | {"x_ref_m": 1e-7, "z_ref_m": 1e-7}
-    known = {n: v for n, v in {**FAMILY.example.values, **(values or {})}.items() if n in model.names}
-    made = hallsym.simulate(
-        model, known, campaign_from(campaign, "the example"), NoiseModel(noise), seed=seed
-    )
-    return Log.from_arrays(made, Noise.given(noise, tuple(made)))
+    known = {**FAMILY.example.values, **(values or {})}
+    return simulated(model, known, campaign_from(FAMILY.example.campaign, "the example"), noise)
 
 
 # -- numbers of the thesis -----------------------------------------------------------------------------------
@@ -291,34 +286,3 @@ def test_another_wavelength_and_a_silent_sensor_are_far_from_the_noise():
             hallsym.fit(other, model, solver="direct", loss="none")
     with pytest.raises(InputError, match="give no pose"):
         hallsym.evaluate(known, other)
-
-
-# -- a field measured on a real magnet -----------------------------------------------------------------------
-
-MAPS = Path(__file__).parents[3] / "shared" / "real" / "halbach-fieldmaps"
-if not MAPS.exists():
-    MAPS = Path(__file__).parents[4] / "shared" / "real" / "halbach-fieldmaps"
-
-
-def read_from_line(place, tesla, wavelength, pitch, count, stroke):
-    """The log of an array of sensors drawn along a measured line, and its model."""
-    layout = columns([(j - (count - 1) / 2) * pitch for j in range(count)], wavelength, length_m=2 * stroke)
-    model = halbach(layout)
-    x = np.arange(-stroke, stroke, 0.9731e-3)  # no part of a wavelength
-    data = {"run": np.arange(len(x)) * 4 // len(x), "t_s": 0.01 * np.arange(len(x)), "x_ref_m": x}
-    data["z_ref_m"] = np.full(len(x), 5e-3)
-    for sensor in layout[:count]:
-        data[sensor.channel] = np.interp(sensor.middle[0] - x, place, tesla)
-    noise = dict.fromkeys(model.channels, 1e-4) | {"x_ref_m": 1e-6, "z_ref_m": 1e-6}
-    return model, Log.from_arrays(data, Noise.given(noise, tuple(data)))
-
-
-@pytest.mark.skipif(not MAPS.exists(), reason="../shared/real/halbach-fieldmaps is not here")
-@pytest.mark.parametrize(("count", "pitch"), [(3, 0.022 / 3), (9, 0.022 / 3), (8, 0.004)])
-def test_an_array_of_any_pitch_reads_a_measured_line(count, pitch):
-    """27 periods of an undulator's magnet: x within 20 um rms, and its real period of 21.9986 mm."""
-    line = np.genfromtxt(MAPS / "carnauba_phase0mm_line.csv", delimiter=",", names=True)
-    model, log = read_from_line(1e-3 * line["z_mm"], line["by_t"], 0.022, pitch, count, 0.3)
-    fit = hallsym.fit(log, model, effects=["wavelength_error"], solver="direct", loss="none", accept=["all"])
-    assert fit.errors.rows()["fitted"]["rmse"]["x_m"] < 20e-6
-    assert 22 * (1 + fit.value("longer")) == pytest.approx(21.9986, abs=1e-3)

@@ -9,9 +9,10 @@ import halbach_plant as plant
 import numpy as np
 import pytest
 from firmware import passes, written
+from twins import simulated
 
 import hallsym
-from hallsym import Log, Noise, NoiseModel
+from hallsym import Log, Noise
 from hallsym.families.halbach import finite
 from hallsym.families.halbach.effects import ends, magnets
 from hallsym.families.halbach.finite import strength
@@ -161,8 +162,7 @@ def travelling(count=24, stroke=0.1):
     noise = dict.fromkeys(wide.channels, 1e-3) | {"x_ref_m": 1e-7, "z_ref_m": 1e-7}
     values = {"a1": 0.62, "b1": 0.11, "a5": -6e-4, "b5": -8e-4, "edges": 1.0}
     plan = campaign_from({"step_s": 8e-3, "run": runs}, "travel")
-    made = hallsym.simulate(wide, values, plan, NoiseModel(noise), seed=1)
-    return wide, values, Log.from_arrays(made, Noise.given(noise, tuple(made)))
+    return wide, values, simulated(wide, values, plan, noise)
 
 
 @pytest.mark.slow
@@ -225,14 +225,8 @@ def swept(wide, values, gaps):
         for k, f in enumerate((1.0, 1.3, 0.9, 0.7))
     ]
     noise = dict.fromkeys(wide.channels, 1e-3) | {"x_ref_m": 1e-7, "z_ref_m": 1e-7}
-    made = hallsym.simulate(
-        wide,
-        {"a1": 0.62} | values,
-        campaign_from({"step_s": 8e-3, "run": runs}, "sweep"),
-        NoiseModel(noise),
-        seed=1,
-    )
-    return Log.from_arrays(made, Noise.given(noise, tuple(made)))
+    plan = campaign_from({"step_s": 8e-3, "run": runs}, "sweep")
+    return simulated(wide, {"a1": 0.62} | values, plan, noise)
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from test_halbach_ends import swept
+from twins import simulated
 
 import hallsym
 from hallsym.families.halbach import PLANAR
@@ -10,8 +11,7 @@ from hallsym.families.halbach.effects import magnets, mechanics, transducer
 from hallsym.families.halbach.further import half_turned
 from hallsym.families.halbach.models import halbach
 from hallsym.families.halbach.planar import halbach_planar
-from hallsym.log import Log, Noise
-from hallsym.simulation import NoiseModel, campaign_from
+from hallsym.simulation import campaign_from
 
 LC_M = 0.03 / 2 / np.pi
 
@@ -44,8 +44,7 @@ def campaign(wide, values):
         c: 1e-7 if c.endswith("_m") else 1e-6 for c in wide.references
     }
     plan = campaign_from({**PLANAR.example.campaign, "step_s": 2e-2}, "motions")
-    made = hallsym.simulate(wide, {**PLANAR.example.values, **values}, plan, NoiseModel(noise), seed=1)
-    return Log.from_arrays(made, Noise.given(noise, tuple(made)))
+    return simulated(wide, {**PLANAR.example.values, **values}, plan, noise)
 
 
 def test_the_height_of_an_array_is_a_gain_of_its_patch_until_the_mover_is_turned():

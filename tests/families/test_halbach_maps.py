@@ -3,10 +3,9 @@
 The laboratory states its probe's cross-axis terms: raw and corrected readings of a plane differ by them.
 """
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from beside import REAL, needs
 from halbach_plant import BR, field, magnets, readings
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
@@ -19,15 +18,8 @@ from hallsym.families.halbach.planar import halbach_planar, pinwheel
 from hallsym.log import Log, Meta, Noise
 from hallsym.model import on_arrays
 
-MAPS = next(
-    (
-        p
-        for n in (3, 4)
-        if (p := Path(__file__).parents[n] / "shared" / "real" / "halbach-fieldmaps").exists()
-    ),
-    None,
-)
-HERE = pytest.mark.skipif(MAPS is None, reason="../shared/real/halbach-fieldmaps is not here")
+MAPS = REAL / "halbach-fieldmaps"
+HERE = needs(MAPS)
 NOMINAL_M, COUNT, STROKE_M = 0.0525, 6, 0.18
 PERIOD_M = 0.0525258
 """Of By on the axis: one sine fitted over the inner 500 mm leaves least."""
@@ -52,17 +44,16 @@ def made_up(which):
     return planes
 
 
-def read(lines, gaps):
+def read(lines, gaps, period_m=NOMINAL_M, pitch_m=NOMINAL_M / 3, stroke_m=STROKE_M, length_m=0.64):
     """The log of columns drawn along lines, four runs or one per gap; `lines`: of each column at each gap."""
-    model = halbach(
-        columns([(k - (COUNT - 1) / 2) * NOMINAL_M / 3 for k in range(COUNT)], NOMINAL_M, length_m=0.64)
-    )
-    x = np.arange(-STROKE_M, STROKE_M, 0.9731e-3)  # no part of a period
+    count = len(lines[0])
+    places = [(k - (count - 1) / 2) * pitch_m for k in range(count)]
+    model = halbach(columns(places, period_m, length_m=length_m))
+    x = np.arange(-stroke_m, stroke_m, 0.9731e-3)  # no part of a period
     parts = []
     for gap, at in zip(gaps, lines, strict=True):
         for xs in [x] if len(gaps) > 1 else [x[first::4] for first in range(4)]:
             run = {"run": np.full(len(xs), len(parts)), "x_ref_m": xs, "z_ref_m": np.full(len(xs), gap)}
-            places = [sensor.middle[0] for sensor in model.layout[:COUNT]]
             run |= {f"col_{k}_v": np.interp(p - xs, *at[k]) for k, p in enumerate(places)}
             parts.append(run)
     data = {c: np.concatenate([p[c] for p in parts]) for c in parts[0]}
@@ -130,6 +121,18 @@ def check_the_growth(plane):
 )
 def test_a_plane(check, plane, kinds, real):
     check(*(measured(plane, kind) if real else made_up(kind) for kind in kinds))
+
+
+@HERE
+@pytest.mark.parametrize(("count", "pitch_m"), [(3, 0.022 / 3), (9, 0.022 / 3), (8, 0.004)])
+def test_an_array_of_any_pitch_reads_a_measured_line(count, pitch_m):
+    """27 periods of an undulator's magnet: x within 20 um rms, and its real period of 21.9986 mm."""
+    line = np.genfromtxt(MAPS / "carnauba_phase0mm_line.csv", delimiter=",", names=True)
+    each = [(1e-3 * line["z_mm"], line["by_t"])] * count
+    model, log = read([each], [5e-3], 0.022, pitch_m, 0.3, 0.6)
+    fit = hallsym.fit(log, model, effects=["wavelength_error"], solver="direct", loss="none", accept=["all"])
+    assert fit.errors.rows()["fitted"]["rmse"]["x_m"] < 20e-6
+    assert 22 * (1 + fit.value("longer")) == pytest.approx(21.9986, abs=1e-3)
 
 
 @pytest.mark.slow

@@ -1,12 +1,12 @@
 """Logs of encoders: both forms, wraps, directions, counts, and one clear sentence for each bad one."""
 
 import json
-import os
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from beside import CASES, REAL, needs
 from test_rotary import ANGLE, TURN, angle_log, plates, voltage_log, wrap
 
 import hallsym
@@ -20,8 +20,7 @@ from hallsym.report.results.fit import circumstances
 V = {"Vx": 0.01, "Vy": -0.02, "Ax": 1.01, "Ay": 0.98, "beta": 0.004, "zero": 3.1}
 FORTH = np.linspace(0, 3 * TURN, 500)
 BOTH = np.r_[FORTH, FORTH[::-1]]
-HERE = Path(__file__).resolve().parents[2]
-BESIDE = Path(os.environ.get("HALLSYM_CASES", HERE.parent / "shared" / "cases")).parent
+LUTS, RESOLVER = REAL / "rotary-mechaduino-luts", REAL / "rotary-resolver-amci"
 
 
 def fitted(log: Log, **options):
@@ -247,15 +246,13 @@ def test_a_campaign_that_moves_what_a_model_lacks_is_refused():
 # -- logs beside the repository --------------------------------------------------------------------------
 
 
+@needs(CASES / "labels.json")
 @pytest.mark.parametrize(
     "case", ["dev_016", *(pytest.param(f"dev_0{k}", marks=pytest.mark.slow) for k in range(17, 21))]
 )
 def test_cases_of_another_plant_give_the_gap_that_they_state(case):
-    folder = BESIDE / "cases"
-    if not folder.is_dir():
-        pytest.skip("no folder of cases beside the repository")
-    label = json.loads((folder / "labels.json").read_text())[case]
-    log = hallsym.read_log(folder / "dev" / case)
+    label = json.loads((CASES / "labels.json").read_text())[case]
+    log = hallsym.read_log(CASES / "dev" / case)
     fit = hallsym.fit(log, solver="direct", loss="none")
     stated = label["noisy"]["before"]["output_rmse"]["angle_rad"]
     assert fit.errors.rows()["holdout"]["rmse"]["angle_rad"] == pytest.approx(stated, rel=0.02)
@@ -268,6 +265,7 @@ def apart(log: Log, held: np.ndarray) -> Log:
     return Log.from_arrays({"run": held[order].astype(int), **columns})
 
 
+@needs(LUTS)
 @pytest.mark.slow
 def test_recorded_encoders_calibrate_to_what_their_reference_repeats():
     """AS5047D on stepper motors: held-out knots keep what knots keep that were fitted themselves.
@@ -275,11 +273,8 @@ def test_recorded_encoders_calibrate_to_what_their_reference_repeats():
     What is left is the pattern of the steps of the reference, four knots to a pole pair: of every second knot
     the fit sees one phase and takes its mean for the zero, so that a step pattern counts twice between them.
     """
-    folder = BESIDE / "real" / "rotary-mechaduino-luts"
-    if not folder.is_dir():
-        pytest.skip("no folder of recorded encoders beside the repository")
     columns = {"angle_count": "raw_count", "angle_ref_deg": "ref_angle_deg"}
-    for file in sorted(folder.glob("*.csv")):
+    for file in sorted(LUTS.glob("*.csv")):
         log = hallsym.read_log(file, columns=columns, counts_per_turn=16384)
         a, r, k = log.array("angle_rad"), log.array("angle_ref_rad"), np.arange(log.rows)
         e = wrap(a - r - np.angle(np.exp(1j * (a - r)).mean()))
@@ -292,29 +287,25 @@ def test_recorded_encoders_calibrate_to_what_their_reference_repeats():
             assert fit.errors.rows()["holdout"]["rmse"]["angle_rad"] < most * rest, file.name
 
 
+@needs(RESOLVER)
 @pytest.mark.parametrize(
     ("name", "most"),
     [("divider_on_excitation", 2.0), pytest.param("normal_connection", 6.0, marks=pytest.mark.slow)],
 )
 def test_a_recorded_resolver_loads_as_it_is(name, most):
-    folder = BESIDE / "real" / "rotary-resolver-amci"
-    if not folder.is_dir():
-        pytest.skip("no folder of a recorded resolver beside the repository")
     columns = {"angle_deg": "resolver_deg", "angle_ref_deg": "ref_deg", "speed_deg_s": "vel_deg_s"}
-    log = hallsym.read_log(folder / f"{name}.csv", columns=columns, drop_bad=True)
+    log = hallsym.read_log(RESOLVER / f"{name}.csv", columns=columns, drop_bad=True)
     fit = hallsym.fit(log, "rotary", solver="direct", drop_bad=True)
     assert fit.errors.rows()["fitted"]["rmse"]["angle_rad"] < np.radians(most)
     assert not any("isolated spikes" in note for note in fit.notes)  # it rests half of the time
 
 
+@needs(RESOLVER)
 @pytest.mark.slow
 def test_a_recorded_resolver_is_overdriven_late_and_its_reference_short():
-    folder = BESIDE / "real" / "rotary-resolver-amci"
-    if not folder.is_dir():
-        pytest.skip("no folder of a recorded resolver beside the repository")
     columns = {"angle_deg": "resolver_deg", "angle_ref_deg": "ref_deg"}
     for name, clipped in (("normal_connection", True), ("divider_on_excitation", False)):
-        log = hallsym.read_log(folder / f"{name}.csv", columns=columns)
+        log = hallsym.read_log(RESOLVER / f"{name}.csv", columns=columns)
         d = diagnose(log, "rotary")
         assert (d.ranked[0] == "saturation") == clipped, name
         found = {e.name: {n: p.value for n, p in e.parameters.items()} for e in d.effects}

@@ -4,12 +4,12 @@ Facts used: the amplitude of both voltages leaves an arctangent alone; a table o
 runs; from which side an encoder is seen is no fault of it; a reference of another zero is the same reference.
 """
 
-import os
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from beside import CASES, REAL, needs
 
 import hallsym
 from hallsym.cli.main import main
@@ -18,8 +18,7 @@ from hallsym.estimation.evaluate import judged
 from hallsym.log import Log, Meta, Noise, read_log
 
 ROOT = Path(__file__).resolve().parents[2]
-CASES = Path(os.environ.get("HALLSYM_CASES", ROOT.parent / "shared" / "cases"))
-REAL = CASES.parent / "real"
+UNDULATOR = REAL / "linear-hall-undulators" / "delta_sabia_phase04_raw_x0.csv"
 TURN = 2 * np.pi
 KNOTS = (
     "--column",
@@ -176,18 +175,17 @@ def test_runs_of_several_zeros_are_judged_each_from_its_own(decoded):
 # -- logs beside the repository ----------------------------------------------------------------------------
 
 
+@needs(UNDULATOR)
 def test_a_smooth_recording_has_no_spikes_and_its_scale_is_found():
     """Undulator: the period is 52.5186 mm where 52.5 was said, 355 ppm; 0.3 deg of magnet errors are left."""
-    file = REAL / "linear-hall-undulators" / "delta_sabia_phase04_raw_x0.csv"
-    if not file.is_file():
-        pytest.skip("no folder of recorded undulators beside the repository")
-    found = diagnose(read_log(file, columns={"angle_ref_deg": "ref_deg"}), "rotary")
+    found = diagnose(read_log(UNDULATOR, columns={"angle_ref_deg": "ref_deg"}), "rotary")
     assert found.verdict == "unexplained"
     (scale,) = (e.parameters["scale"] for e in found.effects if e.name == "reference_scale_error")
     assert abs(scale.value - 355e-6) < 2 * scale.std < 50e-6
     assert not any("left out" in note and "5" in note.split()[0] for note in found.notes)
 
 
+@needs(CASES / "encoders")
 @pytest.mark.parametrize(
     ("name", "effects", "most_deg"),
     [
@@ -197,10 +195,9 @@ def test_a_smooth_recording_has_no_spikes_and_its_scale_is_found():
     ],
 )
 def test_encoders_that_are_perfect_but_for_one_thing(name, effects, most_deg):
-    file = CASES / "encoders" / f"{name}.csv"
-    if not file.is_file():
-        pytest.skip("no folder of cases beside the repository")
-    fit = hallsym.fit(read_log(file), "rotary", effects=effects, solver="direct")
+    fit = hallsym.fit(
+        read_log(CASES / "encoders" / f"{name}.csv"), "rotary", effects=effects, solver="direct"
+    )
     assert rmse(fit) < np.radians(most_deg)
     if not effects:
         assert rmse(fit, "designed") < np.radians(most_deg)

@@ -5,6 +5,7 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
+from beside import REAL, needs
 from rings import ONE, TURN, recorded, ring
 
 from hallsym.cli import records
@@ -16,7 +17,7 @@ from hallsym.log import Log, Meta
 from hallsym.report.views import page_of
 
 NAMES = ("hall1_count", "hall2_count", "hall3_count")
-REAL = Path(__file__).resolve().parents[3] / "shared/real/rings-three-halls/rings.parquet"
+RINGS = REAL / "rings-three-halls" / "rings.parquet"
 PLACES = np.radians([0.0, 101.0, 262.0])
 
 
@@ -83,15 +84,12 @@ def test_options_of_other_fleets_are_refused(capsys) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(
-    not REAL.exists(),
-    reason="the recordings of 131 rings are not beside this checkout; simulated rings always run",
-)
+@needs(RINGS)
 def test_recorded_rings_learned_on_two_turns_are_right_on_the_third() -> None:
     """13 of 131 rings: median and 95 % of what is left, electrical deg (no reference: judged by a line)."""
     import pyarrow.parquet as pq
 
-    table = pq.read_table(REAL)
+    table = pq.read_table(RINGS)
     ids = table["ring"].to_numpy()
     rings = np.unique(ids)[2::10]
     logs = {}

@@ -7,9 +7,9 @@ from functools import cache
 import numpy as np
 import pytest
 from gap_twins import Inject, U, add, gains, machine
+from twins import simulated
 
 import hallsym
-from hallsym import NoiseModel
 from hallsym.cli.main import main
 from hallsym.diagnosis import Base, diagnose, prepare
 from hallsym.families import effects
@@ -137,8 +137,7 @@ def test_a_shaft_that_turns_steadily_keeps_twelve_samples_a_turn() -> None:
     """Its motion has no frequency of its own: 3000 rpm at 10 kHz are 200 samples a turn."""
     motion = [Run(0.2, {}, {"angle_rad": lambda t, w=w: w * t}) for w in (314.2, -314.2, 314.2)]
     model, noise = hallsym.build("rotary"), {"v_sin_v": 1e-3, "v_cos_v": 1e-3}
-    made = hallsym.simulate(model, {}, Campaign(1e-4, tuple(motion)), NoiseModel(noise), seed=1)
-    log = Log.from_arrays(made, Noise.given(noise, tuple(made)))
+    log = simulated(model, {}, Campaign(1e-4, tuple(motion)), noise)
     base = prepare(log, model).base
     for rows in (100, log.rows // 200):  # the second would be one sample a turn, as of a shaft at rest
         _, text = decimated(base, rows)

@@ -1,10 +1,10 @@
 """`sort_sensors`: gains and their uncertainty by simulation, bins, tables; the thesis's repeats."""
 
 import csv
-from pathlib import Path
 
 import numpy as np
 import pytest
+from beside import REAL, needs
 from scipy.optimize import minimize
 from scipy.stats import norm
 
@@ -14,9 +14,7 @@ from hallsym.sorting import change_probability, read_readings, sort_sensors
 from hallsym.sorting.bins import bins_of, wrong_probability
 from tests.sorting.benches import FIELD, bench, long_form, truth, written
 
-REAL = Path(__file__).parents[3] / "shared" / "real" / "minibumblebee-8x3hall"
-if not REAL.exists():
-    REAL = Path(__file__).parents[4] / "shared" / "real" / "minibumblebee-8x3hall"
+BOARD = REAL / "minibumblebee-8x3hall"
 
 
 # -- the thesis --------------------------------------------------------------------------------------------
@@ -192,13 +190,13 @@ def agreement(found, gain, offset):
     return float(np.std(beside / beside.mean(), ddof=1)), float(np.abs(found.offset + offset * 1e-3).max())
 
 
-@pytest.mark.skipif(not REAL.exists(), reason="../shared/real/minibumblebee-8x3hall is not here")
+@needs(BOARD)
 def test_real_sensors_agree_with_their_owners_calibration():
     """The y axes stand in 45 mT; corrected by their owners, (reading + offset) gain, they differ by .33 %."""
-    with (REAL / "lab_calibration.csv").open() as file:
+    with (BOARD / "lab_calibration.csv").open() as file:
         lab = [row for row in csv.DictReader(file) if row["axis"] == "y"]
     gain, offset = (np.array([float(row[c]) for row in lab]) for c in ("gain", "zero_offset_mt"))
-    with (REAL / "measurement.csv").open() as file:
+    with (BOARD / "measurement.csv").open() as file:
         read = np.array([float(row["by_mt"]) for row in csv.DictReader(file)]).reshape(18, 8)
     corrected = (read + offset) * gain
     own = np.std(corrected.mean(axis=0) / corrected.mean(), ddof=1)
