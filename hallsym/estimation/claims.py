@@ -25,7 +25,7 @@ from hallsym.estimation.identifiable import determine
 from hallsym.estimation.likelihood import Cost, cost_near, cost_of
 from hallsym.estimation.optimum import NEWTON, SETTLING, closed_form, linear_fit, optimum, refit
 from hallsym.estimation.task import noise_of, silent
-from hallsym.families.recording import Correction, as_corrections, corrected_run, said
+from hallsym.families.recording import Correction, as_corrections, corrected_run, said, scales
 from hallsym.log import Log, Noise
 from hallsym.log.batches import batches
 from hallsym.log.columns import RUN, is_moving
@@ -35,7 +35,7 @@ from hallsym.log.estimate import estimate_noise
 from hallsym.log.phase import as_continuous, continuous
 from hallsym.log.table import joined
 from hallsym.model import Model, Parameter, Signals
-from hallsym.units import UNITS, si_unit, split_unit
+from hallsym.units import UNITS, si_unit
 
 SAMPLES = 8_000
 """Samples that a mistake is tried on: enough for parameters to a part in a hundred, and quickly fitted."""
@@ -196,13 +196,8 @@ def _listed(texts: Sequence[str]) -> str:
 
 # -- what is tried -----------------------------------------------------------------------------------------
 
-FACTORS = (10.0, 1e2, 1e3, 1e4, 1e5, 1e6)
-"""Wrong scales that are tried beside those of units, with their inverses: a decimal point, a conversion that
-was done twice; between them lie counts."""
 WIDE = tuple(10.0**n for n in (-5, -3, -1, 1, 3, 5))
 """Scales that are tried first; those within two decades of the best follow, and of a better one."""
-RATIOS = tuple(range(2, 13))
-"""Turns of one column in a turn of another: pole pairs, gears, counts of another resolution."""
 MEANS = (3, 7, 16)
 """Samples of centred means that are tried, before those between them."""
 SHIFTS = (1, 3, 8, 24)
@@ -230,18 +225,6 @@ def groups(
         for unit in dict.fromkeys(map(si_unit, logged)) for some in (logged, [*readings, *logged])
     ]  # fmt: skip
     return list(dict.fromkeys(each)), list(dict.fromkeys([*each, *of_unit]))
-
-
-def scales(model: Model, columns: Sequence[str]) -> list[tuple[str, float]]:
-    """Return the units that numbers of columns may be in, and plain factors, each with the factor to SI."""
-    own = {split_unit(c)[1] for c in columns}
-    if len(own) != 1 or (unit := own.pop()) is None:
-        return []
-    named = {u.factor: u.name for u in UNITS.values() if u.si == unit.si and not u.offset and u.factor > 1e-7}
-    factors = dict.fromkeys([*named, *(1 / f for f in named), *FACTORS, *(1 / f for f in FACTORS)])
-    if any(c in model.period for c in columns):
-        factors |= dict.fromkeys([*RATIOS, *(1 / n for n in RATIOS)])
-    return [(named.get(f, ""), f) for f in factors if f != 1.0]
 
 
 def _scaled(model: Model, columns: tuple[str, ...]) -> list[Correction]:

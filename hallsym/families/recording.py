@@ -289,6 +289,25 @@ MISTAKES = {
 """By name; of the chain they come first, before the clock."""
 
 
+FACTORS = (10.0, 1e2, 1e3, 1e4, 1e5, 1e6)
+"""Wrong scales that are tried beside those of units, with their inverses: a decimal point, a conversion that
+was done twice; between them lie counts."""
+RATIOS = tuple(range(2, 13))
+"""Turns of one column in a turn of another: pole pairs, gears, counts of another resolution."""
+
+
+def scales(model: Model, columns: Sequence[str]) -> list[tuple[str, float]]:
+    """Return the units that numbers of columns may be in, and plain factors, each with the factor to SI."""
+    own = {split_unit(c)[1] for c in columns}
+    if len(own) != 1 or (unit := own.pop()) is None:
+        return []
+    named = {u.factor: u.name for u in UNITS.values() if u.si == unit.si and not u.offset and u.factor > 1e-7}
+    factors = dict.fromkeys([*named, *(1 / f for f in named), *FACTORS, *(1 / f for f in FACTORS)])
+    if any(c in model.period for c in columns):
+        factors |= dict.fromkeys([*RATIOS, *(1 / n for n in RATIOS)])
+    return [(named.get(f, ""), f) for f in factors if f != 1.0]
+
+
 def said(c: Correction) -> str:
     """Return a mistake in words.
 
