@@ -18,9 +18,9 @@ from hallsym.families import published
 from hallsym.log import Fault, Log, check_log, clean_log, write_log
 
 EVERY = sorted((*LOG, *FIT), key=lambda m: m.on == STAGE)
-"""A fit that searches for a mistake takes seconds: every fourth of these is made in the log of 57 runs, as an
-inverted x, the others in that of 6, as an inverted y."""
-QUICK = ("20 % on", "degrees for rad", "mV for V in one", "plates exchanged in one", "an inverted")
+"""A fit that searches for a mistake takes seconds: every fourth of these is made in the log of 57 runs, the
+others in that of 6."""
+QUICK = ("20 % on", "degrees for rad", "counts of another", "an inverted")
 """Of the fits of encoders, one of each kind; of the stage, one of which the command is asked."""
 SLOW = [m for m in FIT if m.on == STAGE or not m.name.removeprefix("encoder: ").startswith(QUICK)]
 CASES = [
