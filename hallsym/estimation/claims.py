@@ -47,8 +47,6 @@ CLOSELY = 1e-6
 """Share of the cost within which a trial is fitted: less than chance makes of it."""
 STEPS_TRIED = 40
 """Newton steps of a trial: what needs more is far from right."""
-MOVED = 5.0
-"""Standard deviation of a column within a run over its noise from which on it moves."""
 MOST_NOISE = 0.05
 """Noise of a corrected column over its range, or its period, from which on it explains any residual."""
 
@@ -231,12 +229,10 @@ def _scaled(model: Model, columns: tuple[str, ...]) -> list[Correction]:
     return [Correction("scale", columns, (factor,), unit=unit) for unit, factor in scales(model, columns)]
 
 
-def hypotheses(
-    model: Model, columns: Sequence[str], worst: Sequence[str], moved: Set[str]
-) -> Iterator[Correction]:
+def hypotheses(model: Model, columns: Sequence[str], worst: Sequence[str]) -> Iterator[Correction]:
     """Yield the mistakes that all samples of some runs may have, the plainest first.
 
-    `worst`: the readings that are looked at one by one. `moved`: the columns that move within these runs.
+    `worst`: the readings that are looked at one by one.
     """
     each, settings = groups(model, columns, worst)
     yield from (Correction("sign", g) for g in settings)
@@ -247,9 +243,8 @@ def hypotheses(
     yield from (Correction("exchange", pair) for pair in combinations(logged, 2))
     yield from (Correction("exchange", pair) for pair in combinations(worst, 2))
     for g in each:
-        if moved & {*g}:  # of a column at rest both only leave the ends of the runs out
-            yield from (Correction("delay", g, (float(s * n),)) for n in SHIFTS for s in (1, -1))
-            yield from (Correction("averaged", g, (float(n),)) for n in MEANS)
+        yield from (Correction("delay", g, (float(s * n),)) for n in SHIFTS for s in (1, -1))
+        yield from (Correction("averaged", g, (float(n),)) for n in MEANS)
 
 
 # -- how it is tried ---------------------------------------------------------------------------------------
@@ -298,15 +293,6 @@ class Trials:
     def full(self) -> dict[str, np.ndarray]:
         """The columns of these runs."""
         return dict(joined([b.data for b in self._blocks], self.columns))
-
-    def moved(self, runs: Sequence[int]) -> set[str]:
-        """Return the columns that move within some runs, by more than their noise."""
-        spans = [at for run, at in self.spans if run in runs]
-        return {
-            c
-            for c in filter(is_moving, self.columns)
-            if any(np.std(self.full[c][at]) > MOVED * self.noise[c].value for at in spans)
-        }
 
     def quieter(self, c: Correction, runs: Sequence[int]) -> float:
         """Return the deviance per reading by which references and states lack noise in some runs.
@@ -592,13 +578,9 @@ class Tried:
     def rest(self, after: Tried | None) -> float:
         """Return the share of what is left that is left after a correction.
 
-        Of the squares over the noise; of a scale, which scales an estimated noise too, of the variance. All
-        of it where a delay or a mean keeps few samples.
+        Of the squares over the noise; of a scale, which scales an estimated noise too, of the variance.
         """
         if after is None or not after.left:
-            return np.inf
-        few = sum(after.counts.values()) <= KEEPS * sum(self.counts.values())
-        if few and any(one.kind in STEPS for one in after.corrections):
             return np.inf
         if any(one.kind == "scale" for one in after.corrections):
             return float(after.shares[0].mean() / self.shares[0].mean())
@@ -669,8 +651,6 @@ def _screen(trials: Trials, base: Tried, runs: Sequence[int], *, free: bool) -> 
 EXPLAINS = 0.9
 """Share of the excess that a correction must explain to be named: one that leaves a tenth of it is near the
 right one, not it."""
-CUT_OFF = 4.0
-"""Mean square that steps leave over step^2/12, at most: of numbers cut off, not rounded, step^2/3."""
 EXCESS = 1.5
 """Mean square of the residual over the noise from which on a mistake is looked for: a noise that is stated
 20 % too small is none."""
@@ -686,8 +666,6 @@ RIVAL = 20.0
 """Difference of the deviance, of all readings, up to which two corrections explain as much."""
 NEAR = 0.02
 """The same of each reading, over what is left: where effects are left too, chance is not all that decides."""
-KEEPS = 0.6
-"""Share of the samples that a delay or a mean must keep: half a wave of what moves is a sign as well."""
 CHANCE = 2.0
 """Standard deviations of the mean square of noise: corrections that keep other samples differ by chance."""
 DIFFERENT = 3
@@ -746,11 +724,7 @@ def _of_some_runs(trials: Trials, base: Tried) -> list[Found]:
     for odd, agreed in divided.items():
         if _excess(agreed) > may_stay:  # no mistake of other runs lowers it
             continue
-        some = [
-            one
-            for one in _in_runs(trials, agreed, odd)
-            if base.mean(base.left, one.correction.runs) >= EXCESS
-        ]  # else one calibration describes all
+        some = _in_runs(trials, agreed, odd)
         after = trials.fitted([one.correction for one in some]) if some else None
         if after is not None and after.left and _explains(base, after):
             explained.append((len(some), after.mean(after.deviance), some))
@@ -818,8 +792,7 @@ def _divisions(trials: Trials, base: Tried) -> dict[tuple[int, ...], Tried]:
 
     The others, half of the runs at least, are described equally well by one set of parameters. They are found
     by least trimmed squares from all runs but the worst, and from the first and the last half: the half that
-    is described best is fitted again, and all that it foresees with it, until they stay. A division that
-    leaves out the runs of another, and more, is none.
+    is described best is fitted again, and all that it foresees with it, until they stay.
     """
     runs, out, known = list(base.left), dict[tuple[int, ...], Tried](), set[tuple[int, ...]]()
     half = (len(runs) + 1) // 2
@@ -849,7 +822,7 @@ def _divisions(trials: Trials, base: Tried) -> dict[tuple[int, ...], Tried]:
         fit = again if again and max(again.left.values(), default=np.inf) < EXCESS else fit
         if odd := tuple(r for r in rest.left if r not in fit.left):
             out[odd] = fit
-    return {odd: fit for odd, fit in out.items() if not any({*other} < {*odd} for other in out)}
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -915,8 +888,6 @@ def _best(
         if found is None or not found.left or not np.isfinite(base.rest(found)) or not _follows(base, found):
             return
         left = found.mean(found.left, runs)
-        if c.mistake.keeps and left > CUT_OFF:  # a noise that is larger is not all that is wrong
-            return
         same = without_ends(replace(c, columns=())) if c.kind in STEPS else before
         inside = _inside(trials, found, c, runs) if c.kind == "clipped" else 0.0
         after = found.mean(found.deviance, runs) + inside + trials.quieter(c, runs)
@@ -939,7 +910,7 @@ def _best(
         equal = [one for one in good if one.after - best.after < close]
         return equal, min(equal, key=lambda one: (assumes(one), one.after)), close
 
-    plain = hypotheses(trials.model, trials.columns, base.worst(runs), trials.moved(runs))
+    plain = hypotheses(trials.model, trials.columns, base.worst(runs))
     more = [c for c in (*plain, *of_samples(trials, base, known)) if not known or key(c) in known]
     while more:
         shares |= {c: screened(c) for c in more}
@@ -1214,7 +1185,7 @@ def _slope(rest: Residual, block: Block, column: str) -> np.ndarray:
 # -- mistakes of some samples ------------------------------------------------------------------------------
 
 STILL = 8
-"""Samples in a row that are equal where a column stands still."""
+"""Samples at either end of a run in which no step is looked for."""
 STROKE = 0.1
 """Motion within a run over the range of all, below which a column is set from run to run."""
 PILED = 3.0
@@ -1232,7 +1203,6 @@ def of_samples(trials: Trials, tried: Tried, known: Set[Key] = frozenset()) -> I
     yield from _rails(trials, runs)
     yield from _coarse(trials, runs)
     if len(runs) == 1:
-        yield from _still(trials, runs[0])
         yield from _steps(trials, tried, runs, known, within=True)
     if len(runs) < len(trials.spans):
         yield from _steps(trials, tried, runs, known, within=False)
@@ -1298,21 +1268,6 @@ def _coarse(trials: Trials, runs: Sequence[int]) -> Iterator[Correction]:
 
 AGAIN = 2
 """Samples of each value, at least, of a column that comes in steps: one of constant speed holds each once."""
-
-
-def _still(trials: Trials, run: int) -> Iterator[Correction]:
-    """Yield stretches in which columns of a run stand still while others move."""
-    (at,) = (at for r, at in trials.spans if r == run)
-    found: dict[tuple[float, float], list[str]] = {}
-    for c in filter(is_moving, trials.columns):
-        x = trials.full[c][at]
-        edges = np.flatnonzero(np.diff(x, prepend=np.nan, append=np.nan) != 0)
-        lengths = np.diff(edges)
-        for k in np.flatnonzero(lengths >= STILL):
-            if lengths[k] < len(x):
-                found.setdefault((float(edges[k]), float(edges[k] + lengths[k])), []).append(c)
-    for ends, columns in found.items():
-        yield Correction("stuck", tuple(columns), ends, (run,))
 
 
 def _steps(
