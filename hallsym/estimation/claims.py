@@ -578,9 +578,13 @@ class Tried:
     def rest(self, after: Tried | None) -> float:
         """Return the share of what is left that is left after a correction.
 
-        Of the squares over the noise; of a scale, which scales an estimated noise too, of the variance.
+        Of the squares over the noise; of a scale, which scales an estimated noise too, of the variance. All
+        of it where a delay or a mean keeps few samples.
         """
         if after is None or not after.left:
+            return np.inf
+        few = sum(after.counts.values()) <= KEEPS * sum(self.counts.values())
+        if few and any(one.kind in STEPS for one in after.corrections):
             return np.inf
         if any(one.kind == "scale" for one in after.corrections):
             return float(after.shares[0].mean() / self.shares[0].mean())
@@ -666,6 +670,8 @@ RIVAL = 20.0
 """Difference of the deviance, of all readings, up to which two corrections explain as much."""
 NEAR = 0.02
 """The same of each reading, over what is left: where effects are left too, chance is not all that decides."""
+KEEPS = 0.6
+"""Share of the samples that a delay or a mean must keep: half a wave of what moves is a sign as well."""
 CHANCE = 2.0
 """Standard deviations of the mean square of noise: corrections that keep other samples differ by chance."""
 DIFFERENT = 3
