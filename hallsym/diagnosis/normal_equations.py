@@ -9,8 +9,9 @@ matrices any set of effects can be fitted, cross-validated and judged without re
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain, pairwise
-from typing import NamedTuple
+from functools import cached_property
+from itertools import chain, count, islice, pairwise, takewhile
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -21,8 +22,9 @@ from hallsym.estimation.factors import pseudo_inverse, solve
 from hallsym.log import Log
 from hallsym.log.batches import Batch, batches
 from hallsym.log.derived import extended
-from hallsym.model import Model
+from hallsym.model import Model, Signals
 from hallsym.model.arrays import FEWEST, jacobian, on_arrays
+from hallsym.model.model import column_of
 
 
 class Products(NamedTuple):
@@ -56,21 +58,113 @@ class Products(NamedTuple):
         return out
 
 
-def slopes_of(models: Sequence[tuple[Model, Sequence[str]]]) -> list[ca.SX]:
-    """Return d reading / d some parameters of each model, at their nominal values, without entries of 0.
+def slopes_of(model: Model, tried: Sequence[tuple[Model, Sequence[str]]]) -> list[ca.SX]:
+    """Return d reading / d some parameters of models that extend `model`, without entries of 0.
 
-    Slopes share the subexpressions that models share.
+    At the nominal values of these parameters, where a model reads as `model` does. A model is differentiated
+    up to the last step that it adds; the derivative of the steps that follow is built once for all models.
     """
-    slopes: list[ca.SX] = []
-    at: dict[int, tuple[ca.SX, ca.SX]] = {}
-    for model, names in models:
-        s, index = model.symbols, [model.names.index(name) for name in names]
-        slopes.append(jacobian(s.reading, s.parameters[index]))  # what is derived depends on no parameter
-        symbols = (*ca.vertsplit(s.parameters[index]), *ca.vertsplit(s.derived))
-        values = (*map(ca.SX, model.nominal[index].tolist()), *ca.vertsplit(s.derived_as))
-        at |= {symbol.element_hash(): (symbol, value) for symbol, value in zip(symbols, values, strict=True)}
-    known = [ca.vertcat(*each) for each in zip(*at.values(), strict=True)] or [ca.SX(0, 1)] * 2
-    return [ca.sparsify(slope) for slope in ca.substitute(slopes, known[:1], known[1:])]
+    tails: dict[int, Tail] = {}
+    heads = list[tuple[Tail, Signals, dict[int, ca.SX] | None]]()
+    for wide, _ in tried:
+        pairs = zip(reversed(model.steps), reversed(wide.steps), strict=False)
+        common = len(list(takewhile(lambda pair: pair[0] is pair[1], pairs)))
+        if common not in tails:
+            tails[common] = Tail(model, common)
+        heads.append((tails[common], *tails[common].head(wide)))
+    slopes, at = list[ca.SX](), dict[int, tuple[ca.SX, ca.SX]]()
+    for (wide, names), (tail, signals, moved) in zip(tried, heads, strict=True):
+        new = wide.symbols_of("parameter", names)
+        nominal = ca.SX(wide.nominal[[wide.names.index(name) for name in names]])
+        if moved is None:
+            slopes.append(jacobian(signals["reading"], new))  # what is derived depends on no parameter
+        else:
+            slopes.append(tail.slope(moved) @ jacobian(column_of(moved.values()), new))
+        pairs = *zip(*map(ca.vertsplit, (new, nominal)), strict=True), *signals.derived.values()
+        at |= {symbol.element_hash(): (symbol, value) for symbol, value in pairs}
+    return [ca.sparsify(slope) for slope in substituted(slopes, at.values())]
+
+
+def substituted(expressions: list[ca.SX], pairs: Iterable[tuple[ca.SX, ca.SX]]) -> list[ca.SX]:
+    """Return expressions with a value in place of each symbol: (symbol, value)."""
+    symbols, values = zip(*pairs, strict=True) if (pairs := list(pairs)) else ((), ())
+    return list(ca.substitute(expressions, [column_of(symbols)], [column_of(values)]))
+
+
+class Tail:
+    """The last `steps` of a model, as a function of the signals that reach them.
+
+    `moved`: a symbol for each entry of these signals that another model changes, by its number.
+    """
+
+    def __init__(self, model: Model, steps: int) -> None:
+        self.model, self.first = model, len(model.steps) - steps
+        self.signals = model.signals(self.first)
+        self.known = _form(self.signals, self.signals)
+        self.moved: dict[int, ca.SX] = {}
+
+    def head(self, wide: Model) -> tuple[Signals, dict[int, ca.SX] | None]:
+        """Return the signals with which `wide` comes to these steps, and their entries that differ from those
+        of the model, by number. Of signals of another form: all of `wide`, and None."""
+        signals = wide.signals(len(wide.steps) - len(self.model.steps) + self.first)
+        more = signals.keys() - self.signals.keys() - set(wide.state)
+        own = None if more else _form(signals, self.signals)
+        if own is None or self.known is None or own[0] != self.known[0]:
+            return wide.signals(len(wide.steps)), None
+        pairs = enumerate(zip(own[1], self.known[1], strict=True))
+        moved = {k: a for k, (a, b) in pairs if a.element_hash() != b.element_hash()}
+        self.moved |= {k: ca.SX.sym("moved") for k in moved.keys() - self.moved.keys()}
+        return signals, moved
+
+    def slope(self, moved: Iterable[int]) -> ca.SX:
+        """Return d reading / d some entries, all of which have been asked for by `head`."""
+        order = {k: place for place, k in enumerate(self.moved)}
+        return self._slopes[:, [order[k] for k in moved]]
+
+    @cached_property
+    def _slopes(self) -> ca.SX:
+        numbers, values = count(), self.known[1] if self.known else []
+
+        def as_symbols(x: ca.SX) -> ca.SX:
+            each = [self.moved.get(k, values[k]) for k in islice(numbers, x.nnz())]
+            return ca.SX(x.sparsity(), column_of(each))
+
+        signals = self.signals.mapped(as_symbols)
+        self.model.through(signals, self.first, len(self.model.steps))
+        slopes = [jacobian(signals["reading"], column_of(self.moved.values()))]
+        made = (pair for name, pair in signals.derived.items() if name not in self.signals.derived)
+        (slopes,) = substituted(substituted(slopes, made), ((x, values[k]) for k, x in self.moved.items()))
+        return slopes
+
+
+def _form(signals: Signals, names: Iterable[str]) -> tuple[Any, list[ca.SX]] | None:
+    """Return what the named signals are but for the entries of expressions, and these entries in order.
+
+    None where one is missing, or more than expressions, numbers and containers.
+    """
+    entries = list[ca.SX]()
+
+    def form(value: Any) -> Any:
+        if isinstance(value, ca.SX):
+            if value.nnz() == value.numel() == 1:
+                entries.append(value)
+                return 1
+            entries.extend(ca.vertsplit(ca.SX(value.nz[:])) if value.nnz() else ())
+            return repr(value.sparsity())
+        if isinstance(value, ca.DM):
+            return value.full().tolist()
+        if isinstance(value, dict):
+            return [(key, form(v)) for key, v in value.items()]
+        if isinstance(value, list | tuple):
+            return [form(v) for v in value]
+        if isinstance(value, float | int | str):
+            return value
+        raise TypeError
+
+    try:
+        return (signals.functions, [form(signals[name]) for name in names]), entries
+    except (KeyError, TypeError):
+        return None
 
 
 def entries(slope: ca.SX) -> np.ndarray:
@@ -96,7 +190,7 @@ def _graph(model: Model, free: Sequence[int], candidates: Sequence[tuple[Model, 
     s = model.symbols
     reading = s.full(s.reading)
     own = jacobian(reading, ca.vertcat(s.offsets, s.parameters[list(free)]))
-    each, starts = slopes_of(candidates), np.cumsum([0, *(len(new) for _, new in candidates)])
+    each, starts = slopes_of(model, candidates), np.cumsum([0, *(len(new) for _, new in candidates)])
     places = (
         entries(slope) + np.outer([0, 1], start) for slope, start in zip(each, starts[:-1], strict=True)
     )
@@ -106,7 +200,7 @@ def _graph(model: Model, free: Sequence[int], candidates: Sequence[tuple[Model, 
     state = {
         symbol.element_hash(): (name, symbol)
         for one in (model, *(wide for wide, _ in candidates))
-        for name, symbol in zip(one.state, ca.vertsplit(one.symbols.state), strict=True)
+        for name, symbol in zip(one.state, ca.vertsplit(one.symbols_of("column", one.state)), strict=True)
     }
     inputs = [s.parameters, s.offsets, s.pose, ca.vertcat(*(symbol for _, symbol in state.values()))]
     outputs = [

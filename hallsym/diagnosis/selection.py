@@ -170,7 +170,7 @@ def cancels(fit: Refitted, names: Sequence[str]) -> bool:
     quintic term. Parameters without effect while the others are 0, such as an unreached rail, have no size.
     """
     model = fit.base.model
-    (slope,) = slopes_of([(model, names)])
+    (slope,) = slopes_of(replace(model, steps=()), [(model, names)])
     units = {q.name: q.unit for q in model.parameters}
     same: dict[tuple[str, tuple[int, ...]], list[str]] = {}
     channel, column = entries(slope)

@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from itertools import takewhile
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -62,8 +62,14 @@ class Signals(dict):
 
         Raises `TypeError` if one is no expression, number or container: it may refer to these signals.
         """
+        out = self.mapped(lambda entry: entry)
+        out.update({k: ca.SX(v) for k, v in out.items() if isinstance(v, ca.SX)})
+        return out
+
+    def mapped(self, of: Callable[[ca.SX], ca.SX]) -> "Signals":
+        """Return a copy with `of` each expression, one after the other; it raises as `copied` does."""
         out = Signals(())
-        out.update({k: ca.SX(v) if isinstance(v, ca.SX) else _copied(v) for k, v in self.items()})
+        out.update({k: _mapped(v, of) for k, v in self.items()})
         out.derived, out.functions = dict(self.derived), dict(self.functions)
         return out
 
@@ -74,14 +80,16 @@ class Signals(dict):
         return self.derived[name][0]
 
 
-def _copied(value: Any) -> Any:
-    """A value whose containers are new ones."""
-    if isinstance(value, ca.SX | ca.DM | float | int | str):
+def _mapped(value: Any, of: Callable[[ca.SX], Any]) -> Any:
+    """A value whose containers are new ones, with `of` each expression in them."""
+    if isinstance(value, ca.SX):
+        return of(value)
+    if isinstance(value, ca.DM | float | int | str):
         return value
     if isinstance(value, dict):
-        return {key: _copied(v) for key, v in value.items()}
+        return {key: _mapped(v, of) for key, v in value.items()}
     if type(value) in (list, tuple):
-        return type(value)([_copied(v) for v in value])
+        return type(value)([_mapped(v, of) for v in value])
     raise TypeError
 
 
@@ -305,42 +313,54 @@ class Model:
         return {key: known[key] if key in known else ca.SX.sym(key[1]) for key in own}
 
     @cached_property
-    def _chain(self) -> "Chain":
+    def _after(self) -> list[Signals]:
+        """The signals after each step that was asked for, as far as they can be copied."""
         before = self.before
-        while before and "_chain" not in before.__dict__:  # one that nobody has asked for
+        while before and "_after" not in before.__dict__:  # one that nobody has asked for
             before = before.before
-        known = before._chain.after if before else []
+        known = before._after if before else []
         pairs = zip(self.steps, before.steps if before else (), known, strict=False)
-        after = [signals for _, _, signals in takewhile(lambda pair: pair[0] is pair[1], pairs)]
-        signals = after[-1].copied() if after else Signals(())
+        return [signals for _, _, signals in takewhile(lambda pair: pair[0] is pair[1], pairs)]
+
+    def signals(self, count: int) -> Signals:
+        """Return the signals after the first `count` steps; they are the caller's own."""
+        known = self._after[:count]
+        signals = known[-1].copied() if known else Signals(())
         for column in (*self.pose, *self.state):
             signals.setdefault(column, self._symbols["column", column])
-        p = {name: symbol for (kind, name), symbol in self._symbols.items() if kind == "parameter"}
-        for k, (_, step) in list(enumerate(self.steps))[len(after) :]:
-            step(signals, p)
-            if len(after) == k:
+        for k in range(len(known), count):
+            self.through(signals, k, k + 1)
+            if len(self._after) == k:
                 with suppress(TypeError):
-                    after.append(signals.copied())
-        return Chain(signals, after)
+                    self._after.append(signals.copied())
+        return signals
+
+    def through(self, signals: Signals, first: int, last: int) -> None:
+        """Take signals through the steps `first` to `last` (exclusive)."""
+        p = {name: symbol for (kind, name), symbol in self._symbols.items() if kind == "parameter"}
+        for _, step in self.steps[first:last]:
+            step(signals, p)
 
     @cached_property
     def symbols(self) -> "Symbols":
         """The symbols and the reading of the chain, with derived quantities still symbols of their own."""
-        signals, derived = self._chain.signals, list(self._chain.signals.derived.values())
+        signals = self.signals(len(self.steps))
+        derived = list(signals.derived.values())
         return Symbols(
-            parameters=self._of("parameter", self.names),
-            offsets=self._of("parameter", (z.name for z in self.offsets)),
-            pose=self._of("column", self.pose),
-            state=self._of("column", self.state),
-            derived=_column(s for s, _ in derived),
-            derived_as=_column(e for _, e in derived),
+            parameters=self.symbols_of("parameter", self.names),
+            offsets=self.symbols_of("parameter", (z.name for z in self.offsets)),
+            pose=self.symbols_of("column", self.pose),
+            state=self.symbols_of("column", self.state),
+            derived=column_of(s for s, _ in derived),
+            derived_as=column_of(e for _, e in derived),
             reading=signals["reading"],
             gain=signals["gain"] if "gain" in signals else ca.SX.ones(len(self.channels)),
             displacement=signals["displacement"] if "displacement" in signals else ca.SX(0, 1),
         )
 
-    def _of(self, kind: str, names: Iterable[str]) -> ca.SX:
-        return _column(self._symbols[kind, name] for name in names)
+    def symbols_of(self, kind: str, names: Iterable[str]) -> ca.SX:
+        """Return the symbols of one kind, parameters (and offsets) or columns, (names,)."""
+        return column_of(self._symbols[kind, name] for name in names)
 
     @cached_property
     def reading(self) -> ca.Function:
@@ -452,19 +472,13 @@ class Model:
         ]
         return ca.Function(
             "combined",
-            [self._of("parameter", self.names)],
+            [self.symbols_of("parameter", self.names)],
             [ca.densify(ca.vertcat(*values)) if values else ca.DM(0, 1)],
         )
 
 
-class Chain(NamedTuple):
-    """The signals at the end of a chain, and `after` each step as far as they can be copied."""
-
-    signals: Signals
-    after: list[Signals]
-
-
-def _column(entries: Iterable[ca.SX]) -> ca.SX:
+def column_of(entries: Iterable[ca.SX]) -> ca.SX:
+    """Return scalars as one column, of length 0 where there is none."""
     listed = list(entries)
     return ca.vertcat(*listed) if listed else ca.SX(0, 1)
 

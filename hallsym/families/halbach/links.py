@@ -2,9 +2,9 @@
 
 Signals of the chain, beside the columns: `moved`: for each channel a dict of what is added to each logged
 coordinate (clock, reference); `placed`: what is added to the position (x, y, z) [m] of its sensors; `tilted`:
-the slopes (x, y) of their axes [rad]; `mounted`: shift [m] and rotation of arrays that are not at their
-place; `stretch`: share by which wavelengths are long; `turn`: -1 where the mover is turned half round
-about z, else 1; `field`: what each channel sees [V]; `reading`.
+the slopes (x, y) of their axes [rad]; `mounted`: shift [m] and rotation of each array from its place;
+`stretch`: share by which wavelengths are long; `turn`: -1 where the mover is turned half round about z, else
+1; `field`: what each channel sees [V]; `reading`.
 `crest`: place [m] along an array where the first harmonic points to the sensors, `amplitude`: of it at the
 level [V]; `waves`: of the harmonics that have been asked for.
 Functions: `seen(s, channel)`: what each of its elements sees (`Seen`), `harmonic(s, channel, h, a, b)`: its
@@ -16,7 +16,7 @@ from dataclasses import dataclass, fields
 
 import casadi as ca
 
-from hallsym.families.halbach.layout import Array, sensors
+from hallsym.families.halbach.layout import Array, arrays, sensors
 from hallsym.families.mechanisms import P, Port, port
 from hallsym.model import Model, Signals
 
@@ -30,7 +30,7 @@ def begin(s: Signals, model: Model) -> None:
     s["moved"] = [dict.fromkeys(model.pose, ca.SX(0)) for _ in range(count)]
     s["placed"] = [[ca.SX(0)] * 3 for _ in range(count)]
     s["tilted"] = [[ca.SX(0)] * 2 for _ in range(count)]
-    s["mounted"] = {}
+    s["mounted"] = {n: (ca.SX.zeros(3), rotation(*[ca.SX(0)] * 3)) for n in arrays(model.layout)}
     s["stretch"] = ca.SX(0)
     s["turn"] = 1
 

@@ -114,9 +114,8 @@ def seen_by(s: Signals, rigid: Rigid, layout: Layout, k: int) -> list[links.Seen
         if s["turn"] < 0:
             m, axis = HALF_TURN * m, HALF_TURN * axis
         m = m - ca.vertcat(*array.centre, 0)
-        if array.name in s["mounted"]:
-            shift, own = s["mounted"][array.name]
-            m, axis = own.T @ (m - shift), own.T @ axis
+        shift, own = s["mounted"][array.name]
+        m, axis = own.T @ (m - shift), own.T @ axis
         out.append(links.Seen(array, m[i], -m[2], axis[2], axis[i], m[1 - i], axis[1 - i]))
     return out
 
