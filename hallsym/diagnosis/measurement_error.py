@@ -71,7 +71,7 @@ def shared_noise(
     Columns are [parameters | candidates]. `length`: samples of a stretch, None for whole runs.
     `autocorrelation`: of the residual at lags 0, 1, ... Nothing where no reference has noise.
     """
-    work = Columns(base, candidates)
+    work = Columns(base, candidates, t.graph)
     out, own, column = np.zeros((len(t.runs), work.n + work.count)), work.z + work.n, work.column
     logged = (c for c in (*base.model.references, *base.model.state) if c in base.log.columns)
     sizes = {c: s for c in logged if (s := base.sigma.get(c, 0.0)) > 0}

@@ -43,6 +43,10 @@ class Products(NamedTuple):
         shape = len(work.near) - work.z, work.size - work.z
         return cls(np.zeros((count, *shape)), np.zeros((count, work.pairs.shape[1])))
 
+    def summed(self, stacks: np.ndarray) -> "Products":
+        """Return the sums over stacks of matrices, (F, matrices) of 0 and 1."""
+        return Products(*(np.tensordot(stacks, each, 1) for each in self))
+
     def of(self, span: slice, place: slice) -> np.ndarray:
         """Return the products (..., p, p) of own columns, those of one candidate, and the residual.
 
@@ -222,7 +226,8 @@ class NormalEquations:
     `Products.inner`. `follow`: (runs, offsets, c) offsets of a run of `order` as functions of the other
     columns; none with candidates. `spoiled`: candidates whose slope is not finite somewhere; their columns
     are 0. `offsets`: (units, offsets, c) products with the run's own offsets, in units in which these are
-    orthonormal, which over a whole run add up to 0; None where every unit is a whole run.
+    orthonormal, which over a whole run add up to 0; None where every unit is a whole run. `graph`: of the
+    columns.
     """
 
     whitened: Products
@@ -236,6 +241,7 @@ class NormalEquations:
     order: tuple[int, ...]
     spoiled: frozenset[str]
     offsets: np.ndarray | None
+    graph: Graph
 
     @property
     def likelihood(self) -> np.ndarray:
@@ -304,9 +310,7 @@ def normal_equations(
     run = np.array([number for number, _ in parts])
     if length:
         groups = [(number,) for number in run.tolist()]
-    if len(groups) < len(count):
-        made = [Products(*(x[: len(groups)].copy() for x in M)) for M in made]
-    whitened, output = made
+    whitened, output = (Products(*(x[: len(groups)] for x in M)) for M in made)
     units = np.arange(len(run)) if length else np.array([pool[number] for number in run.tolist()])
     follow, of_offsets = eliminated(work, (whitened, output), offsets[:, : len(run)], run, units)
     return NormalEquations(
@@ -321,6 +325,7 @@ def normal_equations(
         tuple(dict.fromkeys(run.tolist())),
         frozenset(work.spoiled),
         of_offsets,
+        work.graph,
     )
 
 
@@ -419,11 +424,16 @@ class Columns:
     """
 
     def __init__(
-        self, base: Base, candidates: Mapping[str, tuple[Model, Sequence[str]]] | None = None
+        self,
+        base: Base,
+        candidates: Mapping[str, tuple[Model, Sequence[str]]] | None = None,
+        graph: Graph | None = None,
     ) -> None:
+        """`graph`: of these columns, where it is known. That of the steps of a fit is kept by its model."""
         self.base, model, tried = base, base.model, candidates or {}
-        key = ("columns", base.free, *((wide, *new) for wide, new in tried.values()))
-        self.graph = model.remember(key, lambda: _graph(model, base.free, list(tried.values())))
+        if graph is None and tried:
+            graph = _graph(model, base.free, list(tried.values()))
+        self.graph = graph or model.remember(("columns", base.free), lambda: _graph(model, base.free, ()))
         self.models = (base.model, *(wide for wide, _ in tried.values()))
         self.z, self.n = len(base.model.offsets), len(base.free)
         widths = [len(new) for _, new in tried.values()]

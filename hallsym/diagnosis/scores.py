@@ -138,12 +138,7 @@ class Screen:
             if not self.tables or not over():
                 self.tables.append(Table(normal_equations(base, new, self.length), part, self.runs))
         places = {name: k for k, name in enumerate(dict.fromkeys(c.effect.name for c in tried.values()))}
-        scores = (
-            replace(table.score(key), place=places[c.effect.name])
-            for table in self.tables
-            for key, c in table.tried.items()
-            if key not in table.t.spoiled
-        )
+        scores = (replace(s, place=places[s.effect.name]) for table in self.tables for s in table.scores)
         self.scores = sorted(scores, key=lambda s: s.bic)
         self.spoiled = frozenset(key for table in self.tables for key in table.t.spoiled)
 
@@ -252,7 +247,8 @@ class Regressions:
     """Fits of candidates to stacks of units, (F, units) of 0 and 1, that are judged on other units."""
 
     def __init__(self, table: "Table", training: np.ndarray, judging: np.ndarray) -> None:
-        self.table, self.training, self.judging, n = table, training * 1.0, judging * 1.0, table.own
+        self.table, self.training, n = table, training * 1.0, table.own
+        self.judged = table.t.decoded.summed(judging * 1.0)
         self.inverse = pseudo_inverse(np.tensordot(self.training, table.t.likelihood[:, :n, :n], 1))
 
     def solved(self, key: str | None) -> "Solved":
@@ -279,7 +275,7 @@ class Regressions:
 
     def ratio(self, key: str) -> float:
         """Return the gap metric with a candidate over that without, on the units that judge."""
-        M = np.tensordot(self.judging, self.table.t.of(key, decoded=True), 1)
+        M = self.judged.of(self.table.t.span[key], self.table.t.places[key])
         pick = np.append(np.arange(self.table.own), M.shape[1] - 1)
         u, none = self.solved(key).by, self.solved(None).by
         squares = np.einsum("fi,fij,fj->", u, M, u)
@@ -302,8 +298,7 @@ class Solved(NamedTuple):
 class Table:
     """Products of candidates and of the model's own parameters, from which they are scored on some runs.
 
-    `fitted`: fits to the runs, judged on the same; `cross_validated`: without groups of them in turn, judged
-    on each.
+    `fitted`: fits to the runs, judged on the same. `scores`: of the candidates that are finite.
     """
 
     def __init__(self, t: NormalEquations, tried: dict[str, Candidate], runs: Sequence[int]) -> None:
@@ -314,10 +309,13 @@ class Table:
         groups = np.array([among & np.isin(run, own[k::FOLDS]) for k in range(min(FOLDS, len(own)))])
         self.readings = float(among @ t.count)
         self.fitted = Regressions(self, among[None], among[None])
-        self.cross_validated = Regressions(self, among & ~groups, groups)
+        cross_validated = Regressions(self, among & ~groups, groups)
+        self.scores = [self._score(key, cross_validated) for key in tried if key not in t.spoiled]
+        # p-values need no decoded products of each unit, which are half of the memory
+        self.t = replace(t, decoded=t.decoded.summed(np.zeros((0, len(among)))))
 
-    def score(self, key: str) -> Score:
-        """Return the score of a candidate."""
+    def _score(self, key: str, cross_validated: Regressions) -> Score:
+        """Return the score of a candidate; `cross_validated`: without groups of runs, judged on each."""
         c, found = self.tried[key], self.fitted.solved(key)
         N, size = self.readings * len(c.model.channels), len(c.new) + c.variant.shapes
         return Score(
@@ -327,7 +325,7 @@ class Table:
             gain=max(float(found.plain[0] - found.left[0]), 0.0),
             size=size,
             bic=float(bic(found.left[0], N, size, N)),
-            ratio=self.cross_validated.ratio(key),
+            ratio=cross_validated.ratio(key),
             p_value=1.0,
             absorbed=bool(found.absorbed[0]),
         )
