@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain, count, islice, pairwise, takewhile
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -24,7 +24,7 @@ from hallsym.log.batches import Batch, batches
 from hallsym.log.derived import extended
 from hallsym.model import Model, Signals
 from hallsym.model.arrays import FEWEST, jacobian, on_arrays
-from hallsym.model.model import column_of
+from hallsym.model.model import column_of, mapped
 
 
 class Products(NamedTuple):
@@ -104,20 +104,20 @@ class Tail:
     def __init__(self, model: Model, steps: int) -> None:
         self.model, self.first = model, len(model.steps) - steps
         self.signals = model.signals(self.first)
-        self.known = _form(self.signals, self.signals)
+        self.form, self.entries = _entries(self.signals, self.signals)
         self.moved: dict[int, ca.SX] = {}
 
     def head(self, wide: Model) -> tuple[Signals, dict[int, ca.SX] | None]:
         """Return the signals with which `wide` comes to these steps, and their entries that differ from those
         of the model, by number. Of signals of another form: all of `wide`, and None."""
         signals = wide.signals(len(wide.steps) - len(self.model.steps) + self.first)
-        more = signals.keys() - self.signals.keys() - set(wide.state)
-        own = None if more else _form(signals, self.signals)
-        if own is None or self.known is None or own[0] != self.known[0]:
+        form, entries = _entries(signals, self.signals)
+        same = form == self.form and signals.functions == self.signals.functions
+        if not form or not same or signals.keys() - self.signals.keys() - set(wide.state):
             return wide.signals(len(wide.steps)), None
-        pairs = enumerate(zip(own[1], self.known[1], strict=True))
+        pairs = enumerate(zip(entries, self.entries, strict=True))
         moved = {k: a for k, (a, b) in pairs if a.element_hash() != b.element_hash()}
-        self.moved |= {k: ca.SX.sym("moved") for k in moved.keys() - self.moved.keys()}
+        self.moved |= {k: ca.SX.sym("moved") for k in moved if k not in self.moved}
         return signals, moved
 
     def slope(self, moved: Iterable[int]) -> ca.SX:
@@ -127,48 +127,36 @@ class Tail:
 
     @cached_property
     def _slopes(self) -> ca.SX:
-        numbers, values = count(), self.known[1] if self.known else []
+        numbers, signals = count(), self.signals.copied()
 
         def as_symbols(x: ca.SX) -> ca.SX:
-            each = [self.moved.get(k, values[k]) for k in islice(numbers, x.nnz())]
+            each = (self.moved.get(k, self.entries[k]) for k in islice(numbers, x.nnz()))
             return ca.SX(x.sparsity(), column_of(each))
 
-        signals = self.signals.mapped(as_symbols)
+        signals.update({name: mapped(value, as_symbols) for name, value in signals.items()})
         self.model.through(signals, self.first, len(self.model.steps))
         slopes = [jacobian(signals["reading"], column_of(self.moved.values()))]
         made = (pair for name, pair in signals.derived.items() if name not in self.signals.derived)
-        (slopes,) = substituted(substituted(slopes, made), ((x, values[k]) for k, x in self.moved.items()))
-        return slopes
+        known = ((symbol, self.entries[k]) for k, symbol in self.moved.items())
+        return substituted(substituted(slopes, made), known)[0]
 
 
-def _form(signals: Signals, names: Iterable[str]) -> tuple[Any, list[ca.SX]] | None:
-    """Return what the named signals are but for the entries of expressions, and these entries in order.
+def _entries(signals: Signals, names: Iterable[str]) -> tuple[str, list[ca.SX]]:
+    """Return the form of the named signals, and the entries of their expressions.
 
-    None where one is missing, or more than expressions, numbers and containers.
+    The form is empty where a signal is missing, or holds more than expressions, numbers and containers.
     """
     entries = list[ca.SX]()
 
-    def form(value: Any) -> Any:
-        if isinstance(value, ca.SX):
-            if value.nnz() == value.numel() == 1:
-                entries.append(value)
-                return 1
-            entries.extend(ca.vertsplit(ca.SX(value.nz[:])) if value.nnz() else ())
-            return repr(value.sparsity())
-        if isinstance(value, ca.DM):
-            return value.full().tolist()
-        if isinstance(value, dict):
-            return [(key, form(v)) for key, v in value.items()]
-        if isinstance(value, list | tuple):
-            return [form(v) for v in value]
-        if isinstance(value, float | int | str):
-            return value
-        raise TypeError
+    def form(x: ca.SX) -> str:
+        single = x.is_scalar(True)
+        entries.extend([x] if single else ca.vertsplit(ca.SX(x.nz[:])) if x.nnz() else ())
+        return "1" if single else repr(x.sparsity())
 
     try:
-        return (signals.functions, [form(signals[name]) for name in names]), entries
+        return repr([mapped(signals[name], form) for name in names]), entries
     except (KeyError, TypeError):
-        return None
+        return "", []
 
 
 def entries(slope: ca.SX) -> np.ndarray:
@@ -248,16 +236,9 @@ class NormalEquations:
         """Products (units, p, p) of the model's own columns and the residual, weighted by the noise."""
         return self.of(None) if self.places else self.whitened.border
 
-    @property
-    def output(self) -> np.ndarray:
-        """The same mapped to the pose."""
-        return self.of(None, decoded=True) if self.places else self.decoded.border
-
-    def of(self, key: str | None, *, decoded: bool = False) -> np.ndarray:
+    def of(self, key: str | None) -> np.ndarray:
         """Return products (units, p, p) of the model's columns, those of a candidate, and the residual."""
-        none = slice(0, 0)
-        span, place = (self.span[key], self.places[key]) if key else (none, none)
-        return (self.decoded if decoded else self.whitened).of(span, place)
+        return self.whitened.of(*((self.span[key], self.places[key]) if key else (NONE, NONE)))
 
     def units(self, runs: Iterable[int]) -> np.ndarray:
         """Return the index of the units whose runs are all among `runs`."""
@@ -265,6 +246,8 @@ class NormalEquations:
         return np.array([k for k, unit in enumerate(self.runs) if known.issuperset(unit)], dtype=int)
 
 
+NONE = slice(0, 0)
+"""Columns of no candidate."""
 UNITS = 64
 """Most runs whose matrices are kept singly; of more, neighbouring runs are pooled."""
 ENTRIES = 500_000

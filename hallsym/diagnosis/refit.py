@@ -36,7 +36,7 @@ class Refitted:
 
         Computed on first use, since intermediate steps and rejected fits do not need them.
         """
-        return normal_equations(self.base).output
+        return normal_equations(self.base).decoded.border
 
     @property
     def output(self) -> np.ndarray:

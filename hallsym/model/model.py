@@ -62,14 +62,8 @@ class Signals(dict):
 
         Raises `TypeError` if one is no expression, number or container: it may refer to these signals.
         """
-        out = self.mapped(lambda entry: entry)
-        out.update({k: ca.SX(v) for k, v in out.items() if isinstance(v, ca.SX)})
-        return out
-
-    def mapped(self, of: Callable[[ca.SX], ca.SX]) -> "Signals":
-        """Return a copy with `of` each expression, one after the other; it raises as `copied` does."""
         out = Signals(())
-        out.update({k: _mapped(v, of) for k, v in self.items()})
+        out.update({k: ca.SX(v) if isinstance(v, ca.SX) else mapped(v) for k, v in self.items()})
         out.derived, out.functions = dict(self.derived), dict(self.functions)
         return out
 
@@ -80,16 +74,19 @@ class Signals(dict):
         return self.derived[name][0]
 
 
-def _mapped(value: Any, of: Callable[[ca.SX], Any]) -> Any:
-    """A value whose containers are new ones, with `of` each expression in them."""
+def mapped(value: Any, of: Callable[[ca.SX], Any] = lambda expression: expression) -> Any:
+    """Return a signal whose containers are new ones, with `of` each expression in place of it.
+
+    Raises `TypeError` if it holds more than expressions, numbers and containers.
+    """
     if isinstance(value, ca.SX):
         return of(value)
     if isinstance(value, ca.DM | float | int | str):
         return value
     if isinstance(value, dict):
-        return {key: _mapped(v, of) for key, v in value.items()}
+        return {key: mapped(v, of) for key, v in value.items()}
     if type(value) in (list, tuple):
-        return type(value)([_mapped(v, of) for v in value])
+        return type(value)([mapped(v, of) for v in value])
     raise TypeError
 
 
