@@ -84,8 +84,8 @@ def slopes_of(model: Model, tried: Sequence[tuple[Model, Sequence[str]]]) -> lis
             slopes.append(jacobian(signals["reading"], new))  # what is derived depends on no parameter
         else:
             slopes.append(tail.slope(moved) @ jacobian(column_of(moved.values()), new))
-        pairs = *zip(*map(ca.vertsplit, (new, nominal)), strict=True), *signals.derived.values()
-        at |= {symbol.element_hash(): (symbol, value) for symbol, value in pairs}
+        values = *zip(*map(ca.vertsplit, (new, nominal)), strict=True), *signals.derived.values()
+        at |= {symbol.element_hash(): (symbol, value) for symbol, value in values}
     return [ca.sparsify(slope) for slope in substituted(slopes, at.values())]
 
 
