@@ -59,7 +59,7 @@ class SimulatedMachine:
         known, judged = t.units(self.runs), t.units(tuple(self.base.holdout))
         theta = coefficients(t.likelihood[known].sum(axis=0), np.arange(len(self.base.free)))
         v = np.append(-theta, 1.0)
-        M = t.output[judged].sum(axis=0) / max(t.count[judged].sum(), 1.0)
+        M = t.decoded.border[judged].sum(axis=0) / max(t.count[judged].sum(), 1.0)
         return float(np.sqrt(max(v @ M @ v, 0.0))), float(np.sqrt(max(M[-1, -1], 0.0)))
 
 
