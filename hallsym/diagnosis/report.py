@@ -7,11 +7,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 
-import casadi as ca
 import numpy as np
 
 from hallsym.codegen import cost_of
-from hallsym.codegen.operations import graph
 from hallsym.diagnosis.decoded_errors import decoded_errors, waves
 from hallsym.diagnosis.faults import Fault, assignment_p, assignments
 from hallsym.diagnosis.localisation import Located, located, shape, sizes
@@ -438,14 +436,6 @@ def _share(found: Validation, squares: float) -> float:
     return float(np.clip(squares / excess, 0.0, 1.0))
 
 
-def operations(model: Model) -> int:
-    """Return the count of arithmetic operations of one decoded pose, common subexpressions counted once.
-
-    Each sine or division of the model's own expression is one operation: for models that have no C.
-    """
-    return graph([ca.cse(*model.decoded.call(model.decoded.sx_in()))]).count
-
-
 def firmware_cost(before: Model, after: Model, p: np.ndarray | None = None) -> str:
     """Return in words what the step from one model to another adds: parameters, instructions, signals.
 
@@ -459,10 +449,10 @@ def firmware_cost(before: Model, after: Model, p: np.ndarray | None = None) -> s
         work = f"C about {old.instructions} -> {new.instructions} instructions"
         work += f", parameter table {old.table} -> {new.table} B"
     except InputError:
-        work = f"decoding {operations(before)} -> {operations(after)} operations, no C"
-    text = f"{counted(len(after.parameters) - len(before.parameters), 'parameter')}; {work}"
+        work = "no C is generated with it"
+    text = counted(len(after.parameters) - len(before.parameters), "parameter")
     signals = [c.name for c in after.computed if c.name not in before.state]
     if signals:
         some = ", ".join(signals[:SHOWN]) + (", ..." if len(signals) > SHOWN else "")
         text += f" and {counted(len(signals), 'signal')} to compute ({some})"
-    return text
+    return f"{text}; {work}"
