@@ -230,7 +230,10 @@ def hum(times: Sequence[np.ndarray], rest: Sequence[np.ndarray]) -> tuple[float,
         powers = [_power(t, x, hz, MAINS_REACH_HZ, longest) for t, x in known]
         total = sum(power / length for (_, power), length in zip(powers, lengths, strict=True))
         f, power = _power(every, whole, powers[0][0][np.argmax(total)], 0.5 / longest, span)
-        out.append(float(f[np.argmax(power)]))
+        k = int(np.argmax(power))
+        low, top, high = (float(power[(k + j) % len(f)]) for j in (-1, 0, 1))
+        beside = 0.5 * (high - low) / max(2 * top - low - high, 1e-300)  # of a parabola through the three
+        out.append(float(f[k]) + beside * abs(f[1] - f[0]))
     return tuple(out)
 
 
