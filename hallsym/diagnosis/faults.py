@@ -290,15 +290,21 @@ def _distance(angles: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 
 def without_tail(base: Base) -> Weigh:
-    """Return weights 0 for samples far off the model, in addition to those left out already."""
+    """Return weights 0 for samples far off the model, in addition to those left out already.
+
+    Of those left out in a block at most `Policy.false_alarm` are expected to be noise (Benjamini and Hochberg
+    1995): a limit that no sample of noise exceeds would keep most spikes of a few standard deviations.
+    """
     residual = residuals(base.model, base.p, base.offsets)
-    whiten, K = base.whiten, len(base.model.channels)
-    limit = far_from(K, base.log.rows, base.policy)
+    whiten, K, level = base.whiten, len(base.model.channels), base.policy.false_alarm
 
     def weigh(block: Block) -> np.ndarray:
         distance = ((whiten @ residual(block)) ** 2).sum(axis=0)
         typical = max(float(np.median(distance)) / statistic_at(0.5, K), base.policy.half)
-        near = (distance < limit * typical).astype(float)
+        p = chdtrc(K, distance / typical)
+        allowed = level * np.arange(1, len(p) + 1) / max(len(p), 1)
+        within = np.sort(p) <= allowed
+        near = (p > allowed[within].max(initial=0.0)).astype(float)
         return near if base.keep is None else near * base.keep(block)
 
     return weigh
