@@ -9,7 +9,7 @@ import numpy as np
 from hallsym.diagnosis.normal_equations import NormalEquations, normal_equations
 from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.scores import bic
-from hallsym.estimation.covariance import AT_BOUND
+from hallsym.estimation.covariance import AT_BOUND, RunScatter
 from hallsym.estimation.factors import SINGULAR, pseudo_inverse, unit_scale
 from hallsym.estimation.identifiable import gauged, scales
 from hallsym.estimation.optimum import DROP, PASSES
@@ -21,8 +21,7 @@ from solvers import bounded_step, gauss_newton
 class Refitted:
     """A model fitted on some runs: its parameters, its tangents there, and its residual.
 
-    `cost`: whitened squares over the fitted runs. `covariance`: of the free parameters if the residual is
-    white and of unit variance.
+    `cost`: whitened squares over the fitted runs.
     """
 
     base: Base
@@ -106,12 +105,21 @@ class Refitted:
         return tuple(np.array(self.base.free, dtype=int)[~seen(self.base, self.products)].tolist())
 
     def covariance(self) -> np.ndarray:
-        """Covariance of all parameters for a residual of variance 1; 0 where fixed, unseen or at a bound."""
+        """Covariance of all parameters, as of a fit; 0 where fixed, unseen or at a bound.
+
+        It is from the size of the residual, or from the scatter between units where that exceeds what white
+        noise predicts: each column collects the noise at its own frequencies.
+        """
         moving = np.flatnonzero(~np.isin(self.base.free, (*self.at_bound(), *self.unseen())))
         free = np.array(self.base.free, dtype=int)[moving]
-        M = self.products[np.ix_(moving, moving)]
+        units = self.tangents.likelihood[self.fitted]
+        known = units[:, moving[:, None], moving]
+        M, size = known.sum(axis=0), self.variance(1.0)
         full = np.zeros((len(self.base.p),) * 2)
-        full[np.ix_(free, free)] = pseudo_inverse(M)
+        scatter = RunScatter.of(known, units[:, moving, -1])
+        full[np.ix_(free, free)] = (
+            scatter.covariance(size) if scatter.ratio > scatter.limit(size) else size * pseudo_inverse(M)
+        )
         along, rows = self._gauge(M, free)
         within = np.eye(len(full)) - along @ rows
         return np.asarray(within @ full @ within.T)

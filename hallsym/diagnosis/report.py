@@ -344,8 +344,7 @@ def findings(setup: Setup, found: Validation) -> tuple[FoundEffect, ...]:
     """
     if found.metric >= found.before.metric:
         return ()
-    fit, known = found.fit, np.maximum(np.diag(found.fit.covariance()), 0.0)
-    spread = np.sqrt(known * fit.variance(1.0) * found.inflation)  # of the slow averages of the residual
+    spread = np.sqrt(np.maximum(np.diag(found.fit.covariance()), 0.0))
     out = [_effect(found, e, spread) for e in found.effects]
     scale, before = found.metric / found.after.metric, found.before.metric
     share = _share(found, (1 - scale**2) * found.after.metric**2)

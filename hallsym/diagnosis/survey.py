@@ -204,9 +204,12 @@ def _step(v: np.ndarray, policy: Policy) -> tuple[float, float]:
         return 0.0, 1.0
     q = float(np.quantile(gaps, 0.05))
     q = float(np.median(gaps[gaps < 1.5 * q]))
-    whole = np.abs(gaps / q - np.round(gaps / q)) < TOLERANCE
+    steps = np.round(gaps / q)
+    whole = np.abs(gaps / q - steps) < TOLERANCE
     p = as_often(int(whole.sum()), len(gaps), 2 * TOLERANCE)
-    return (q, p) if whole.mean() > 1 - policy.minor else (0.0, p)
+    if whole.mean() <= 1 - policy.minor:
+        return 0.0, p
+    return float(gaps[whole].sum() / steps[whole].sum()), p  # also where the log rounds each value
 
 
 # -- hum of the mains ----------------------------------------------------------------------------------------

@@ -106,6 +106,10 @@ class RunScatter:
         mean = len(self.root) - float(np.trace(squares))
         return max(mean**2 / variance, 1.0) if variance > ALONE**2 else 1.0
 
+    def limit(self, size: float) -> float:
+        """Return the `ratio` that white noise of variance `size` certainly does not exceed."""
+        return size * float(chdtri(self.degrees_of_freedom, ndtr(-CERTAIN))) / self.degrees_of_freedom
+
     def _adjusted(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield for some runs at a time J (r, n, n), and (1 - J)^(-1/2) without the directions that a run
         determines alone (r, n, n)."""
@@ -361,7 +365,7 @@ def _estimate(
     # noise that is correlated within a run has a smaller residual there, and more scatter between runs
     size = fit.cost_per_degree_of_freedom if fit.contradicts else 1.0
     size = size if size > OVERSTATED else 1.0
-    limit = size * float(chdtri(scatter.degrees_of_freedom, ndtr(-CERTAIN))) / scatter.degrees_of_freedom
+    limit = scatter.limit(size)
     said += (
         f"scores of the {n} runs scatter {scatter.ratio:.2f} x what white noise predicts (limit {limit:.2f})"
     )
