@@ -93,16 +93,16 @@ def of_samples(found: Survey, policy: Policy) -> Iterator[Fault]:
         of_spikes = float((rest[spikes] + z[spikes] ** 2).sum()) / n
         of_late = max(float(np.mean(np.where(spikes, 0.0, z**2 - expected))), 0.0) if late.any() else 0.0
         tail, share = of_spikes + of_late, 100 * float(spikes.mean())
-        sides = [float((z[late & (z * sign > 0)] ** 2).sum()) / n for sign in (-1, 1)]
+        early, old = (late & (z * sign > 0) for sign in (-1, 1))
         # a late sample is off along the motion only, and never early: as many early as late ones are spikes
-        if of_spikes + 2 * min(sides) > policy.half * tail:
+        balanced = 2 * min(float((z[side] ** 2).sum()) for side in (early, old)) / n
+        if of_spikes + balanced > policy.half * tail:
             expected_far = policy.tails * exceeds(rest, across, limit, beside) * n
             p = float(gammainc(_events(spikes), max(expected_far, 1e-300)))  # Poisson
             text = f"{share:.2g} % of the samples are spikes"
             yield fault("outliers", text, tail, p, Estimate(share / 100, None, "1"))
-        events, share = _events(late), 100 * float(late.mean())
-        most = round(0.5 * (events + abs(float(np.sign(z[late]).mean())) * events)) if events else 0
-        p = min(1.0, 2 * as_often(most, events, 0.5))
+        share, sides = 100 * float(late.mean()), (_events(early), _events(old))
+        p = min(1.0, 2 * as_often(max(sides), sum(sides), 0.5))
         text = f"{share:.2g} % of the samples are old"
         yield fault("dropped_samples", text, tail, p, Estimate(share / 100, None, "1"))
     if z[1:] @ z[:-1] < policy.smooth * (z @ z):

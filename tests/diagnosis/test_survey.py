@@ -6,7 +6,8 @@ import pytest
 import hallsym
 from hallsym.diagnosis import POLICY
 from hallsym.diagnosis.curves import lack_of_fit
-from hallsym.diagnosis.faults import faults
+from hallsym.diagnosis.faults import faults, without_tail
+from hallsym.diagnosis.refit import refit
 from hallsym.diagnosis.setup import base_of, split
 from hallsym.diagnosis.survey import Survey, memory_of_recording, survey
 from hallsym.log import Log, Noise
@@ -46,9 +47,9 @@ def surveyed(log) -> Survey:
 @pytest.mark.parametrize("step_s", [4e-3, 12e-3])  # 12 ms show 50 Hz as 33 Hz
 @pytest.mark.parametrize("hz", [49.37, 50.02, 61.4])
 def test_hum_is_found_as_exactly_as_the_whole_log_tells(step_s, hz):
-    log = encoder(step_s, added=lambda t: SIGMA * np.sin(2 * np.pi * hz * t + 1))
+    log = encoder(step_s, added=lambda t: 4 * SIGMA * np.sin(2 * np.pi * hz * t + 1))
     found = surveyed(log).lines_hz[hz > 55]
-    assert abs(found - hz) < 0.25 / (RUNS * (SAMPLES * step_s + PAUSE_S))
+    assert abs(found - hz) < 0.04 / (RUNS * (SAMPLES * step_s + PAUSE_S))
 
 
 def test_memory_ends_where_correlation_is_chance():
@@ -101,3 +102,33 @@ def test_readings_late_by_several_samples_are_no_spikes():
     base = based(Log.from_arrays(columns, log.noise))
     names = [f.name for f in faults(base, survey(base, frozenset(log.runs)), tested=40)]
     assert names == ["dropped_samples"]
+
+
+def changed(log: Log, column: str, values: np.ndarray) -> Log:
+    return Log.from_arrays({**{c: log.array(c) for c in log.columns}, column: values}, log.noise)
+
+
+def test_steps_of_a_converter_are_measured_although_the_log_rounds_them():
+    step, rounding = 8.9373e-4, 2.0**-15
+    log = encoder()
+    coarse = step * np.round(log.array("v_sin_v") / step)
+    found = surveyed(changed(log, "v_sin_v", rounding * np.round(coarse / rounding)))
+    assert found.adc_step[0] == pytest.approx(step, rel=3e-4)
+
+
+def test_spikes_of_five_standard_deviations_are_left_out_and_noise_is_not():
+    log = encoder(samples=512)
+    spikes = np.arange(log.rows) % 50 == 25
+    noisy = changed(log, "v_sin_v", log.array("v_sin_v") + 5 * SIGMA * spikes)
+    kept = np.concatenate([without_tail(based(noisy))(block) for block in noisy.blocks()])
+    assert kept[spikes].mean() < 0.3
+    assert kept[~spikes].mean() > 0.995
+
+
+@pytest.mark.parametrize("noise", [white, ringing])
+def test_a_refit_is_as_uncertain_as_a_fit(noise):
+    log = encoder(noise=noise)
+    result = hallsym.fit(log, "ellipse", solver="direct", loss="none", accept=["all"])
+    base = base_of(log, result)
+    std = np.sqrt(np.diag(refit(base, log.runs).covariance()))
+    assert std == pytest.approx(result.std, rel=0.1)
