@@ -180,7 +180,7 @@ def self_fit_of(
     if TABLE not in model.effects:
         model = adapted(model, (f"{TABLE}:count={len(found.kept)}",), {})
     plane, pairs, values = found.plane, found.pairs, model.named(model.nominal)
-    std = dict.fromkeys(model.names, 0.0)
+    std, sigma = dict.fromkeys(model.names, 0.0), {c: Sigma(0.0, "given") for c in model.references}
     x = np.concatenate([x for _, x in runs.values()])
     phi = np.concatenate([plane.phase(x) for _, x in runs.values()])
     basis = np.column_stack([np.ones(len(phi)), np.cos(phi), np.sin(phi)])
@@ -190,6 +190,9 @@ def self_fit_of(
         size = float(np.hypot(a, b))
         rest = x[:, k] - plane.offset[k] - basis[:, 1:] @ plane.shape[k]
         error = np.sqrt(np.diag(inverse) * np.mean(rest**2))
+        # Of each sample the heads give the angle too: one degree of freedom less.
+        left = float(np.sqrt(np.mean(rest**2) * len(model.layout) / (len(model.layout) - 1)))
+        sigma[head.channel] = Sigma(max(left, 1e-3), "estimated")
         values |= {f"V{head.label}": float(plane.offset[k]), f"A{head.label}": size}
         std |= {f"V{head.label}": float(error[0]), f"A{head.label}": float(error[1])}
         if k:
@@ -206,11 +209,6 @@ def self_fit_of(
             values[name], std[name] = float(value), np.nan if wave.std is None else wave.std
             unknown |= {name} if wave.std is None else set()
     spread = np.array([std[n] for n in model.names])
-    noise = found.closure.noise * np.sqrt(max(sum(found.turns) - 1, 1)) if found.closure else np.nan
-    sigma = {
-        c: Sigma(float(noise) if np.isfinite(noise) and noise > 0 else 1e-3, "estimated")
-        for c in model.channels
-    }
     fixed = (*tuple(p.name for p in model.parameters if p.width == 0), "zero")
     fit = calibrated(
         model, np.array([values[n] for n in model.names]), spread, np.diag(np.nan_to_num(spread) ** 2),
@@ -222,7 +220,7 @@ def self_fit_of(
         structural=(),
         combinations=(),
         offsets={},
-        noise=Noise(sigma | {c: Sigma(0.0, "given") for c in model.references}),
+        noise=Noise(sigma),
         noise_floor=dict.fromkeys(model.pose, 0.0),
         status="converged",
         message="",

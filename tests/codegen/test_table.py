@@ -173,6 +173,20 @@ def test_a_table_of_three_halls_corrects_their_nominal_angle(pairs: int, effects
     assert any("hall2_count at 120 deg about" in note for note in made.notes)
 
 
+@pytest.mark.parametrize(("pairs", "effects"), [(1, ()), (4, ("turn_waves:count=4,step=4",))])
+def test_the_noise_of_halls_without_a_reference_holds_what_their_ellipse_leaves(pairs, effects) -> None:
+    """C compares readings with the plane of their ellipse: harmonics of the field are no fault."""
+    own, fit = halls(pairs, *effects)
+    x = 2048 + 900 * own.readings(ANGLE)
+    plane = np.column_stack(
+        [np.ones(len(x)), *np.linalg.svd(x - x.mean(axis=0), full_matrices=False)[0][:, :2].T]
+    )
+    rest = x - plane @ np.linalg.lstsq(plane, x, rcond=None)[0]
+    sigma = np.array([fit.noise.sigmas[c].value for c in fit.model.channels])
+    normal = rest[np.abs(rest).sum(axis=1).argmax()]
+    assert np.std(rest @ normal) < np.linalg.norm(sigma * normal) < 10 * np.std(rest @ normal)
+
+
 def test_a_table_that_a_firmware_of_halls_cannot_carry_is_refused() -> None:
     _, fit = halls(4)
     with pytest.raises(InputError, match="differs from one period to the next"):
