@@ -40,7 +40,9 @@ def short(column: str) -> str:
 
 def unit(column: str) -> str:
     """Return the SI unit of a column."""
-    return {"m": "m", "rad": "rad", "degc": "degC", "s": "s", "v": "V"}.get(column.rpartition("_")[2], "1")
+    return {"m": "m", "rad": "rad", "degc": "degC", "s": "s", "v": "V", "count": "count"}.get(
+        column.rpartition("_")[2], "1"
+    )
 
 
 def offsets_of(model: Model) -> tuple[Entry, ...]:

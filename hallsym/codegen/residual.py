@@ -400,17 +400,16 @@ class _Judgement:
     def said(self) -> tuple[str, ...]:
         """Sentences for header and report."""
         d, found = self.d, self.redundancy
-        in_si = [f((self.faults[0] * self.sigma[:, None]).ravel()) for f in (np.min, np.max)]
+        off = self.faults[0] * self.sigma[:, None]
+        ends = dict.fromkeys(f"{float(f'{end:.2g}'):g}" for end in (off.min(), off.max()))
         typical = named(d.pose, np.median(self._unseen, axis=1))
         out = [
             f"{counted(self.n, 'reading')} for {counted(len(d.pose), 'unknown')}: they are checked against "
             f"one another, with a false alarm in fewer than {FALSE_ALARMS:g} of the samples of the fit's "
-            f"noise. A reading that is off by more than {in_si[0]:.2g} to {in_si[1]:.2g} "
-            f"{unit(d.model.channels[0])}, by where it is, raises a bit in the same sample. One that "
-            f"drifts by "
-            f"less moves the {d.quantity}, with the noise, by at most {_listed(found.unseen)}, at "
-            f"half of the "
-            f"places by less than {_listed(typical)}."
+            f"noise. A reading that is off by more than {' to '.join(ends)} {unit(d.model.channels[0])}, by "
+            f"where it is, raises a bit in the same sample. One that drifts by less moves the {d.quantity}, "
+            f"with the noise, by at most {_listed(found.unseen)}, at half of the places by less than "
+            f"{_listed(typical)}."
         ]
         if not d.watched[0].error:  # of a board, a sensor that no array is over may be dead
             out.append(
@@ -419,8 +418,7 @@ class _Judgement:
             )
         if self.missed > 0:
             out.append(
-                f"Of readings that stick anywhere in their range {100 * self.missed:.2g} % happen to "
-                f"agree with "
+                f"Of readings that stick anywhere in their range {100 * self.missed:.2g} % happen to agree with "
                 f"the others at another {d.quantity}: no bit is raised then, until the machine moves."
             )
         if found.mended:

@@ -342,32 +342,36 @@ def closure_of(
     even = np.stack([np.interp(grid, ahead, own, period=TURN) for own in x.T], axis=1)
     spectra = np.fft.rfft(even, axis=0)[1 : count + 1].T * (2 / len(even))
 
-    def joined(places: Mapping[int, float], head: int, start: Closure | None = None) -> Closure:
-        """Return one Newton step with a head beside others at their places, in the best of its periods.
+    def joined(known: Sequence[Mapping[int, float]], head: int) -> list[Closure]:
+        """Return one Newton step with a head beside others at `known` places, in each period, best first.
 
         A ripple of the motion is the same under all heads over time, in whatever period they stand, so the
         readings decide.
         """
-        first = next(iter(places))
-        likely = places[first] + _places(spectra[first], spectra[head], pairs)[0][:PERIODS]
-        begins = [_begin(spectra, {**places, head: float(p)}, pairs) for p in likely]
-        trials = [
-            _closed(half, x[::2], noise, pairs, count, begin, start, rounds=1, errors=False)
-            for begin in begins
+        begins = [
+            _begin(spectra, {**places, head: float(p)}, pairs)
+            for places in known
+            for p in _places(spectra[next(iter(places))], spectra[head], pairs)[0][:PERIODS]
         ]
-        return min(trials, key=lambda trial: trial.misfit)
+        trials = [_closed(half, x[::2], noise, pairs, count, b, rounds=1, errors=False) for b in begins]
+        return sorted(trials, key=lambda trial: trial.misfit)
+
+    def limit(best: Closure) -> float:
+        return JOINS * max(best.misfit, noise if noise > 0 else 0.0)
 
     both = list(combinations(alive, 2))
     similarity = [_places(spectra[a], spectra[b], pairs)[1] for a, b in both]
     one, other = both[int(np.argmax(similarity))]
-    best = joined({one: 0.0}, other)
-    found = _closed(grid, x, noise, pairs, count, best.jig, best)
+    pair = joined([{one: 0.0}], other)
+    found = _closed(grid, x, noise, pairs, count, pair[0].jig, pair[0])
     for head in alive:
         if head not in found.jig.heads:
-            places = dict(zip(found.jig.heads, (0.0, *found.jig.places), strict=True))
-            wider = joined(places, head, found)
+            # two heads seldom tell their periods: a third is tried beside each that they leave open
+            beside = [t for t in pair if t.misfit < limit(pair[0])] if len(found.jig.heads) == 2 else [found]
+            known = [dict(zip(t.jig.heads, (0.0, *t.jig.places), strict=True)) for t in beside]
+            wider = joined(known, head)[0]
             trial = _closed(half, x[::2], noise, pairs, count, wider.jig, wider, rounds=TRIAL, errors=False)
-            if trial.misfit < JOINS * max(found.misfit, noise if noise > 0 else 0.0):
+            if trial.misfit < limit(found):
                 found = _closed(grid, x, noise, pairs, count, trial.jig, trial)
     return found if found.misfit < DEAD * amplitude.max() else None
 

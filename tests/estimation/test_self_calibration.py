@@ -47,6 +47,20 @@ def test_the_ellipse_alone_doubles_the_error_of_an_eccentric_magnet() -> None:
     assert errors[1] > 1.5 * errors[0]
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+def test_three_heads_find_their_periods_together(seed: int) -> None:
+    """Where the field keeps its size, two of them fit in another period as well, and teach wrong waves."""
+    own = ring(seed, pairs=3, places=np.radians([0.0, 118.0, 243.0]), size=0.0)
+    for away, part in enumerate(0.002 * np.random.default_rng(seed).standard_normal((2, 2)), start=1):
+        own.field[2 + away] += 1j * complex(*part)
+        own.field[2 - away] += 1j * complex(*part).conjugate()
+    logged = {0: recorded(own, seed, turns=4.2, kinematic=3 * ONE, order=7)}
+    found = sc.self_calibrate(logged, 3, PHASES, "none")
+    assert found.closure is not None
+    assert found.closure.jig.heads == (0, 1, 2)
+    assert np.abs(found.closure.jig.places - (own.places[1:] - own.places[0])).max() < 0.01
+
+
 @pytest.mark.parametrize("reference", ["none", "constant-speed"])
 def test_a_kinematic_ripple_is_told_apart_by_the_heads(reference) -> None:
     own, found = calibrated(1, reference, kinematic=ONE)

@@ -190,7 +190,7 @@ class _Assembly:
             names = ", ".join(map(str, wave.harmonics))
             along = " and the radial part of a second" if wave.radial else ""
             out.append(
-                f"{counted(wave.rounds, 'round')}{along} take harmonics {names} off, and leave at most "
+                f"{counted(wave.rounds, 'round')}{along} for {names} waves per period leave at most "
                 f"{wave.left * lc:.2g} m (proved)."
             )
         out.append(f"{wave_steps.REVERSED}: no bit is raised.")

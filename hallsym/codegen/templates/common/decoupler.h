@@ -3,7 +3,7 @@
 /**
  * @file decoupler.h
 {% if b.tree == "float" %}
- * @brief From the readings of {{ d.model.channels | length }} probes to the {{ d.quantity }} of the {{ d.model.family }}: model {{ d.model.name | commented }}.
+ * @brief From the readings of {{ d.model.channels | length }} probe{{ 's' if d.model.channels | length != 1 }} to the {{ d.quantity }} of the {{ d.model.family }}: model {{ d.model.name | commented }}.
 {% else %}
  * @brief From readings to {{ d.quantity }} in 32-bit integers: model {{ d.model.name | commented }}.
 {% endif %}
