@@ -418,8 +418,8 @@ class _Judgement:
             )
         if self.missed > 0:
             out.append(
-                f"Of readings that stick anywhere in their range {100 * self.missed:.2g} % happen to agree with "
-                f"the others at another {d.quantity}: no bit is raised then, until the machine moves."
+                f"Of readings that stick anywhere in their range {100 * self.missed:.2g} % happen to agree "
+                f"with the others at another {d.quantity}: no bit is raised then, until the machine moves."
             )
         if found.mended:
             out.append(
