@@ -40,9 +40,8 @@ def short(column: str) -> str:
 
 def unit(column: str) -> str:
     """Return the SI unit of a column."""
-    return {"m": "m", "rad": "rad", "degc": "degC", "s": "s", "v": "V", "count": "count"}.get(
-        column.rpartition("_")[2], "1"
-    )
+    ending = column.rpartition("_")[2]
+    return {"degc": "degC", "v": "V"}.get(ending, ending if ending in ("m", "rad", "s", "count") else "1")
 
 
 def offsets_of(model: Model) -> tuple[Entry, ...]:

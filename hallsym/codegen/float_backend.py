@@ -249,8 +249,7 @@ class FloatBackend(Backend):
         if given:
             names = [f"{side}_{short(c)}" for side in ("limit", "low", "high")]
             far = max(abs(v) for name in names for v in self.accepted.get(name, ()))
-            near = "position so far or commanded, which chooses the period"
-            other = "measured state" if c in d.model.state else near
+            other = "measured state" if c in d.model.state else "position so far or commanded"
             return {"kind": "reading" if c in d.model.channels else other, "far": literal(far)}
         own = {"hashed": literal(self.reset[c]), "period": literal(d.model.period.get(c, 0.0))}
         if d.evident:  # else nothing is proved of it by EVA

@@ -402,14 +402,13 @@ class _Judgement:
         d, found = self.d, self.redundancy
         off = self.faults[0] * self.sigma[:, None]
         ends = dict.fromkeys(f"{float(f'{end:.2g}'):g}" for end in (off.min(), off.max()))
-        typical = named(d.pose, np.median(self._unseen, axis=1))
         out = [
             f"{counted(self.n, 'reading')} for {counted(len(d.pose), 'unknown')}: they are checked against "
             f"one another, with a false alarm in fewer than {FALSE_ALARMS:g} of the samples of the fit's "
             f"noise. A reading that is off by more than {' to '.join(ends)} {unit(d.model.channels[0])}, by "
             f"where it is, raises a bit in the same sample. One that drifts by less moves the {d.quantity}, "
             f"with the noise, by at most {_listed(found.unseen)}, at half of the places by less than "
-            f"{_listed(typical)}."
+            f"{_listed(named(d.pose, np.median(self._unseen, axis=1)))}."
         ]
         if not d.watched[0].error:  # of a board, a sensor that no array is over may be dead
             out.append(

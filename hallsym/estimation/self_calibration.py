@@ -216,7 +216,7 @@ def stretch_of(
         made = abs(u[-1] - u[0]) / TURN if len(u) else 0.0
         raise InputError(
             f"Run {run} makes {made:.2f} turns without a stop; a table over the turn needs {LEAST_TURNS:g} "
-            "at least (two and one more to judge it): let it turn further, or state the pole pairs."
+            f"at least (two and one more to judge it), of {counted(pairs, 'pole pair')}: let it turn further."
         )
     return Stretch(run, time, x, u)
 
@@ -353,11 +353,8 @@ def closure_of(
             for places in known
             for p in _places(spectra[next(iter(places))], spectra[head], pairs)[0][:PERIODS]
         ]
-        trials = [_closed(half, x[::2], noise, pairs, count, b, rounds=1, errors=False) for b in begins]
+        trials = (_closed(half, x[::2], noise, pairs, count, b, rounds=1, errors=False) for b in begins)
         return sorted(trials, key=lambda trial: trial.misfit)
-
-    def limit(best: Closure) -> float:
-        return JOINS * max(best.misfit, noise if noise > 0 else 0.0)
 
     both = list(combinations(alive, 2))
     similarity = [_places(spectra[a], spectra[b], pairs)[1] for a, b in both]
@@ -367,11 +364,12 @@ def closure_of(
     for head in alive:
         if head not in found.jig.heads:
             # two heads seldom tell their periods: a third is tried beside each that they leave open
-            beside = [t for t in pair if t.misfit < limit(pair[0])] if len(found.jig.heads) == 2 else [found]
+            fitting = [t for t in pair if t.misfit < JOINS * np.fmax(pair[0].misfit, noise)]
+            beside = fitting if len(found.jig.heads) == 2 else [found]
             known = [dict(zip(t.jig.heads, (0.0, *t.jig.places), strict=True)) for t in beside]
             wider = joined(known, head)[0]
             trial = _closed(half, x[::2], noise, pairs, count, wider.jig, wider, rounds=TRIAL, errors=False)
-            if trial.misfit < limit(found):
+            if trial.misfit < JOINS * np.fmax(found.misfit, noise):
                 found = _closed(grid, x, noise, pairs, count, trial.jig, trial)
     return found if found.misfit < DEAD * amplitude.max() else None
 

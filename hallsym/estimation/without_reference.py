@@ -190,9 +190,8 @@ def self_fit_of(
         size = float(np.hypot(a, b))
         rest = x[:, k] - plane.offset[k] - basis[:, 1:] @ plane.shape[k]
         error = np.sqrt(np.diag(inverse) * np.mean(rest**2))
-        # Of each sample the heads give the angle too: one degree of freedom less.
-        left = float(np.sqrt(np.mean(rest**2) * len(model.layout) / (len(model.layout) - 1)))
-        sigma[head.channel] = Sigma(max(left, 1e-3), "estimated")
+        left = np.sqrt(np.mean(rest**2) / (1 - 1 / len(model.layout)))  # the heads give the angle too
+        sigma[head.channel] = Sigma(max(float(left), 1e-3), "estimated")
         values |= {f"V{head.label}": float(plane.offset[k]), f"A{head.label}": size}
         std |= {f"V{head.label}": float(error[0]), f"A{head.label}": float(error[1])}
         if k:
