@@ -18,6 +18,7 @@ from hallsym.estimation import Fit, load_fit
 from hallsym.families import build, default_model, family_called, model_for
 from hallsym.families.machine_file import Machine
 from hallsym.families.published import values as published_values
+from hallsym.families.recording import corrected, read_correction
 from hallsym.families.user import load_effects
 from hallsym.files import json_text
 from hallsym.log import Log, Meta, Noise, check_noise_keys, parse_column_option, read_log
@@ -71,6 +72,8 @@ def open_log(
     reading |= {} if known is None else {"remembered": known.columns, "read_with": known.read_with}
     path = options.log if path is None else path
     log = read_log([path, *options.join] if options.join else path, **reading)
+    if options.command != "fit":  # which keeps them with its result
+        log = corrected(log, [read_correction(text) for text in getattr(options, "correct", [])])
     if machine is None:
         return log
     meta = machine.applied(log.meta)
@@ -252,6 +255,7 @@ def reading_words(options: Namespace, known: Fit | None = None) -> list[str]:
 def samples_words(options: Namespace) -> list[str]:
     """Words of a command on the same log that no calibration holds: further files, samples left out."""
     words = [word for path in options.join for word in ("--join", path)]
+    words += [word for text in getattr(options, "correct", []) for word in ("--correct", text)]
     return [*words, *(["--drop-bad"] if options.drop_bad else [])]
 
 

@@ -49,6 +49,7 @@ log LOG                         log, or a folder with log and meta.json
 -o, --output FILE <repeat>      save the diagnosis: .html for one page to read and print, anything
     else for JSON (repeat)
 @model the log's base_model, else by its columns
+@correct
 @log
 """
 

@@ -46,6 +46,7 @@ logs LOG <several>              logs to judge on, in the order of time
 --false-alarm P <float={FALSE_ALARM}>  familywise false-alarm rate of the tests of a log (default
     {FALSE_ALARM:g})
 @plots save pictures
+@correct
 @log
 """
 

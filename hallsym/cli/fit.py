@@ -53,8 +53,7 @@ logs LOG <several>              Parquet, CSV, MATLAB or HDF5 file, or a folder w
     search: shtlbo, tlbo, gbtlbo, screening
 --loss LOSS <=auto>             auto (take out isolated spikes if there are any), none, reject,
     tukey
---correct TEXT <repeat>         undo a mistake of the recording, in the words of the claim: 'sign
-    x_ref_m' (repeat)
+@correct
 --accept CLAIM <repeat>         overrule a claim by its name, such as delay; 'all' overrules every one
     (repeat)
 --seed SEED <seed=0>            of the global search (default 0)
@@ -157,7 +156,12 @@ def _saved(options: Namespace, result: Fit) -> list[str | Path]:
 
 
 def _diagnose(options: Namespace, result: Fit) -> str:
-    """Return the command that diagnoses the residual, with the options that were given."""
+    """Return the command that explains the residual: undo what is claimed, else diagnose it."""
+    undo = [
+        w for one in result.claims if one.explains and one.correction for w in ("--correct", one.correction)
+    ]
+    if undo:
+        return shlex.join([*options.typed, *undo])
     words = ["hallsym", "diagnose", options.logs[0], "--model", plain(result.model).name]
     words += [word for effect in added_effects(result.model) for word in ("--effect", effect)]
     words += ["--holdout", options.holdout] if options.holdout else []

@@ -36,6 +36,7 @@ from hallsym.errors import InputError, counted
 from hallsym.estimation import LOSSES, SOLVERS
 from hallsym.estimation.calibration import load_fit
 from hallsym.families import build, effects, family_called, models, recording
+from hallsym.families.machine_file import read_machine
 from hallsym.files import atomic_write, read_json
 from hallsym.log import Log, Meta, check_log, estimate_noise, open_source, spans
 from hallsym.log.columns import is_moving, split_header
@@ -71,6 +72,7 @@ files FILE_OR_NAME <any>        log, calibration or curve (.json), campaign (.to
 --write TOML <optional, alone={COLUMN_FILE}>  of a log whose columns have other names: write a
     column file with the best guess for each, to be checked (default {COLUMN_FILE})
 --model MODEL                   what --write is for, such as stage31 (default: by the names)
+--machine TOML                  your machine, whose probes --write looks for; as of 'hallsym fit'
 @log explained
 """
 
@@ -188,8 +190,13 @@ def _write(options: Namespace) -> int:
 
     _, folder, source, where = _opened(options)
     described = folder is not None and (folder / "meta.json").exists()
-    found = suggest(source, options.model, Meta.read(folder / "meta.json") if folder and described else None)
+    meta = Meta.read(folder / "meta.json") if folder and described else Meta()
+    found = suggest(source, options.model, read_machine(options.machine).applied(meta))
     text = found.to_toml(where)
+    if (old := Path(options.write)).is_file() and old.read_bytes() != text.encode():
+        raise InputError(
+            f"{options.write} exists, perhaps corrected by hand; remove it, or give --write another name."
+        )
     atomic_write(options.write, text)
     record = {
         "model": found.model.name,
@@ -206,7 +213,7 @@ def _write(options: Namespace) -> int:
         open = ", ".join(found.open)
         check += f": in it the unit of {open} is open; remove the # of the right line of each"
     columns = tuple(si_name(g.ours) for g in found.guesses) + found.rest
-    notes = [] if described else layout_notes(found.model.name, Meta(columns=columns))
+    notes = [] if described or options.machine else layout_notes(found.model.name, Meta(columns=columns))
     if not found.recognised:
         unknown = "nothing in the file tells what sensor it is of"
         remedy = f"say it with --model ('hallsym info' lists them), or name the columns in {options.write}"

@@ -79,6 +79,10 @@ SHARED = {
 --machine TOML                  your machine: [[probes]] with channel, position_m, senses;
     [parameters.H1x] with nominal, lower, upper, fixed
 """,
+    "correct": """
+--correct TEXT <repeat>         undo a mistake of the recording, in the words of the claim: 'sign
+    x_ref_m' (repeat)
+""",
     "own": """
 --effects PY                    your own effects: a file that defines EFFECTS
 """,

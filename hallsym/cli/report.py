@@ -29,6 +29,7 @@ calibration CALIB               a calibration saved by 'hallsym fit -o'
 log LOG                         the log that was fitted, or another one
 @own
 -o, --output HTML <=report.html>  default: report.html
+@correct
 @log
 """
 

@@ -41,6 +41,7 @@ log LOG <optional>              the log it was fitted to, or another one
 --profiles PROFILES <=auto, auto|all|none>  profile likelihood where a normal interval is not good
     enough (default), of all, or of none
 @model the calibration's, or stage31
+@correct
 @log
 """
 

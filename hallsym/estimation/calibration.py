@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import isfinite
+from numbers import Real
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -424,7 +425,7 @@ class Fit(Shown, Fitted, kw_only=True, frozen=True, eq=False, dict=True, weakref
         `degrees_of_freedom`, 1.96 for 95 % where the noise is as stated. Raises `InputError` for a level that
         is no probability.
         """
-        if not 0 < level < 1:
+        if not (isinstance(level, Real) and 0 < level < 1):
             raise InputError(f"The level of an interval must be between 0 and 1; instead received {level!r}.")
         half = coverage_factor(self.degrees_of_freedom, level) * self.std
         return {

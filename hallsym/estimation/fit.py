@@ -39,7 +39,7 @@ from hallsym.estimation.task import (
 )
 from hallsym.families import plain
 from hallsym.families.recording import corrected, read_correction
-from hallsym.log import LAYOUT, UNRELATED, Fault, Log, as_log
+from hallsym.log import LAYOUT, STUCK, UNRELATED, Fault, Log, as_log
 from hallsym.log.batches import Weigh, batches, remembered
 from hallsym.log.phase import continuous, nearest_turn
 from hallsym.model import Model
@@ -124,6 +124,13 @@ def fit(
     began, say = perf_counter(), on_progress or silent
     _choice(solver, SOLVERS, "solver")
     _choice(loss, LOSSES, "loss")
+    if seed < 0:
+        raise InputError(f"Input seed must be 0 or more; instead received {seed}.")
+    if holdout is not None and (isinstance(holdout, str) or not np.iterable(holdout)):
+        raise InputError(f"Input holdout must be a list of runs, as [2, 7]; instead received {holdout!r}.")
+    effects, corrections, accept, per_log = (  # one word is a list of one
+        (words,) if isinstance(words, str) else words for words in (effects, corrections, accept, per_log)
+    )
     alone = not (isinstance(log, list | tuple) or len(holdout_logs) or len(per_log))
     logs = [as_log(one) for one in (log if isinstance(log, list | tuple) else [log])]
     if not logs:
@@ -198,7 +205,8 @@ def _claimed(result: Fit, mistakes: Sequence[Claim], asked: Asked) -> Fit:
     if any(one.correction for one in mistakes):
         odd = [one for one in odd if one.name != UNRELATED]
     else:
-        odd += [one for one in values if one not in assumed]
+        dead = {c for one in odd if one.name == STUCK and not one.runs for c in one.columns}
+        odd += [one for one in values if one not in assumed and not dead & {*one.columns}]
     odd = [one for one in odd if not any(_covers(mistake, one) for mistake in mistakes)]
     assumed = [] if any((one.explains or 0.0) > WHOLLY for one in mistakes) else assumed
     found = [*map(_claim, assumed), *mistakes, *map(_claim, odd)]

@@ -264,8 +264,10 @@ class Suggestion:
         lines += [f"# not used: {', '.join(map(repr, self.rest))}"] if self.rest else []
         head = [
             f"# For {printable(log)}, as {self.model.name} needs it. Check every line.",
-            "# Of lines that begin with #, remove the # of the right one: nothing in the file tells which.",
         ]
+        if any(line.startswith("#") for line, _ in rows):
+            choose = "remove the # of the right one: nothing in the file tells which"
+            head.append(f"# Of lines that begin with #, {choose}.")
         return "\n".join([*head, "", "[columns]", *lines, ""])
 
 
@@ -378,7 +380,7 @@ def _models(source: Source, data: Mapping[str, Array], name: str | None, meta: M
     stated, found = name or meta.base_model, list[Model]()
     for default in [stated] if stated else [family.default for family in FAMILIES]:
         with nullcontext() if stated else suppress(InputError):  # a family that fails and nobody asked for
-            found.append(usual := build(default))
+            found.append(usual := build(default, meta=meta))
             forms = [(*usual.pose, *usual.references), own]
             first, _, unit = usual.channels[0].rpartition("_")
             for each, si in zip(sets, kinds, strict=True):

@@ -18,7 +18,7 @@ from hallsym.errors import InputError, one_line, require
 from hallsym.families import build, effect_named
 from hallsym.families.machine_file import Machine, read_machine
 from hallsym.files import json_text, reason
-from hallsym.fleets.result import Fleet
+from hallsym.fleets.result import Fleet, table_suffix
 from hallsym.fleets.row import FAILED, Settings, row_of
 from hallsym.fleets.sources import Device, devices_of
 from hallsym.fleets.workers import Failed, completed
@@ -59,6 +59,8 @@ def fleet(
     began, say = perf_counter(), on_progress or (lambda _: None)
     require(workers is None or workers >= 1, "'workers'", "1 or more", workers)
     devices = devices_of(sources)
+    if output:
+        table_suffix(output)
     known = machine if isinstance(machine, Machine) else read_machine(machine)
     settings = Settings(model, tuple(effects), known, dict(reading or {}), drop_bad, diagnose)
     if model is not None:

@@ -146,8 +146,7 @@ class Fleet(Shown):
 
     def save(self, path: str | Path) -> None:
         """Write the table: Parquet or CSV, by the suffix."""
-        suffix = Path(path).suffix.lower()
-        require(suffix in (".parquet", ".csv"), "Output of a fleet", ".parquet or .csv", str(path))
+        suffix = table_suffix(path)
         import pyarrow as arrow
         from pyarrow import csv, parquet
 
@@ -228,3 +227,10 @@ def _known(fleet: Fleet) -> tuple[list[Spread], str]:
             "determine it."
         )
     return found, counted(max(s.devices for s in fleet.spreads), "device")
+
+
+def table_suffix(path: str | Path) -> str:
+    """Return the suffix of a table of devices; raise `InputError` where no table is written with it."""
+    suffix = Path(path).suffix.lower()
+    require(suffix in (".parquet", ".csv"), "Output of a fleet", ".parquet or .csv", str(path))
+    return suffix

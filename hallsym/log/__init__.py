@@ -9,11 +9,12 @@ from hallsym.log.formats import as_log, open_source, read_log
 from hallsym.log.meta import Meta, Noise, Sigma, check_noise_keys, meta_schema
 from hallsym.log.phase import continuous, near, unwrapped, wrapped
 from hallsym.log.quality.check import check_log, clean_log, spans, usable
-from hallsym.log.quality.findings import LAYOUT, UNRELATED, Fault
+from hallsym.log.quality.findings import LAYOUT, STUCK, UNRELATED, Fault
 from hallsym.log.write import LogWriter, write_log
 
 __all__ = [
     "LAYOUT",
+    "STUCK",
     "UNRELATED",
     "Batch",
     "Block",

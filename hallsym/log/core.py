@@ -108,8 +108,8 @@ class Log:
 
     @cached_property
     def sha256(self) -> str:
-        """SHA-256 of the data file; of the columns where there is no file. Computed on first use."""
-        if self.path is not None:
+        """SHA-256 of the data file; of the columns where it is not one. Computed on first use."""
+        if self.path is not None and self.path.is_file():
             with open(self.path, "rb") as stream:
                 return hashlib.file_digest(stream, "sha256").hexdigest()
         digest = hashlib.sha256()

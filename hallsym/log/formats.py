@@ -202,7 +202,9 @@ def read_log(
     """
     given = {"format": format, "delimiter": delimiter, "decimal": decimal, "sheet": sheet, "clock": clock}
     stated = read_column_file(column_file) if column_file else ColumnFile()
-    mapped: dict[str, str | Foreign] = {**stated.columns, **(columns or {})}
+    stems = {split_unit(ours)[0] for ours in columns or {}}  # in another unit, perhaps
+    filed = {ours: c for ours, c in stated.columns.items() if split_unit(ours)[0] not in stems}
+    mapped: dict[str, str | Foreign] = {**filed, **(columns or {})}
     named = {e if isinstance(e, str) else e.name: ours for ours, e in mapped.items()}
     (file, folder, source, where), said = _answered(path, {**given, "mapped": named}, read_with or {})
     meta = Meta.read(folder / "meta.json") if folder and (folder / "meta.json").exists() else Meta()
@@ -233,7 +235,8 @@ def read_log(
     notes += [f"Column {name} is left out: {why}." for name, why in left_out.items()] + changed
     if renamed := [f"{ours} is '{theirs.name}'" for ours, theirs in again.items() if ours != theirs.name]:
         notes.append(f"Columns are named as in the calibration: {', '.join(renamed)}.")
-    log = Log(table, known, meta, file, tuple(notes))
+    one = Path(path) if isinstance(path, str | Path) else None  # a folder or a pattern of runs
+    log = Log(table, known, meta, file or one, tuple(notes))
     return clean_log(log) if drop_bad else log
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from hallsym.errors import counted
 from hallsym.log.core import Drop, Log
 
-UNRELATED, LAYOUT = "unrelated", "layout"
-"""Names of the claims that readings do not follow the reference, and that sensors are elsewhere."""
+UNRELATED, LAYOUT, STUCK = "unrelated", "layout", "stuck"
+"""Claims: readings do not follow the reference, sensors are elsewhere, a column never changes."""
 
 
 class Fault(str):

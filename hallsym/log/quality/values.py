@@ -12,7 +12,7 @@ import numpy as np
 from hallsym.errors import counted
 from hallsym.log.columns import is_moving, is_reading, is_reference, run_list
 from hallsym.log.core import Drop, Log
-from hallsym.log.quality.findings import Fault, Finding, others, the
+from hallsym.log.quality.findings import STUCK, Fault, Finding, others, the
 from hallsym.log.quality.scan import (
     STUCK_SAMPLES,
     Scan,
@@ -71,7 +71,7 @@ def stuck(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
         if overall.min == overall.max and is_reading(name):
             text = f"{the(log, name)} never changes; it is {overall.min:.6g} in all {seen.rows} samples"
             remedy = "check the probe, its wiring and the step of its converter"
-            yield Finding(Fault(text, "stuck", (name,)), remedy)
+            yield Finding(Fault(text, STUCK, (name,)), remedy)
         if overall.min == overall.max or not trace.stuck:
             continue
         rests = spans.rests(name)
@@ -105,7 +105,7 @@ def stuck(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
         )
         correction = f"stuck {name} {part.start} {part.stop} in {part.run}" if part else None
         yield Finding(
-            Fault(text, "stuck", (name,), runs, correction), "look at the channel, its wiring and the logger",
+            Fault(text, STUCK, (name,), runs, correction), "look at the channel, its wiring and the logger",
             drop=Drop(rows=tuple((one.row, one.row + n) for one, n in zip(found, lasts, strict=True))),
         )  # fmt: skip
 

@@ -282,7 +282,7 @@ def page_content(log: Log, fit: Fit, *, command: str = "", calibration: str = "c
 def _next(fit: Fit, calibration: str) -> tuple[str, str]:
     if fit.goodness and fit.goodness.sentence:
         own = diagnose_command(fit.log.path, fit.model, added_effects(fit.model))
-        return "Next, diagnose the residual error:", fit.goodness.next_command or own
+        return "Next, find the cause of the residual error:", fit.goodness.next_command or own
     if fit.undetermined_by_log:
         words = ["hallsym", "sensitivity", calibration, str(fit.log.path or "LOG")]
         return "Next, see which recording determines the rest:", shlex.join(words)

@@ -26,22 +26,25 @@ SPREAD = (
 
 def fleet_content(fleet: Fleet) -> Content:
     """Return the report of a fleet."""
-    model = fleet.model.name if fleet.model else "no model"
+    model = f" of {fleet.model.name}" if fleet.model else ""
     count, good = len(fleet.rows), int(fleet.good.sum())
     verdicts = [[v, str(len(devices)), VERDICTS[v]] for v, devices in fleet.verdicts.items()]
-    listed = list(fleet.outlying.items())
-    rest = len(listed) - MOST_LISTED
+    alike: dict[str, list[str]] = {}
+    for device, why in fleet.outlying.items():
+        alike.setdefault(why, []).append(device)
+    listed, differing = [(few(names), why) for why, names in alike.items()], len(fleet.outlying)
+    rest = sum(map(len, [*alike.values()][MOST_LISTED:]))
     outlying: list[Block | str] = [
-        Table([f"{counted(len(listed), 'device')} to look at", "why"], listed[:MOST_LISTED], wordy=(1,),
+        Table([f"{counted(differing, 'device')} to look at", "why"], listed[:MOST_LISTED], wordy=(1,),
               caption="devices that differ from the others or could not be fitted"),
         *([f"and {rest} more, in the table that -o writes"] if rest > 0 else []),
     ]  # fmt: skip
     groups = [[key, str(len(names)), few(names)] for key, names in fleet.groups.items()]
     groups = groups if any(row.get("diagnosis") for row in fleet.rows) else []
-    also = f", {len(listed)} to look at" if listed else ""
+    also = f", {differing} to look at" if listed else ""
     return Content(
-        f"Fleet of {counted(count, 'device')}: {model}",
-        f"{good} of {counted(count, 'device')} of {model} {'is' if count == 1 else 'are'} good{also}.",
+        f"Fleet of {counted(count, 'device')}{model}",
+        f"{good} of {counted(count, 'device')}{model} {'is' if count == 1 else 'are'} good{also}.",
         [
             Section("spread", "Spread of the parameters", [Table(SPREAD, _spreads(fleet), "by parameter")]),
             Section("outlying", "Devices to look at", outlying),
