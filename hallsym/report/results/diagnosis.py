@@ -115,11 +115,6 @@ def _next(d: Diagnosis, fit: Fit | None, reading: Sequence[str]) -> tuple[str, s
     return "", ""
 
 
-def noise_name(d: Diagnosis) -> str:
-    """Return the name of the residual noise: where a rest has no cause it may be no noise."""
-    return "noise, or an unlogged cause" if d.verdict == "unexplained" else "noise"
-
-
 def p_text(p: float | None) -> str:
     """Return a p-value for reading: never 0, never more digits than it is worth."""
     if p is None or isnan(p):
@@ -136,12 +131,13 @@ def _basis(d: Diagnosis) -> str:
 
 def _input(d: Diagnosis) -> Items:
     """Return the basis of the verdict."""
+    noise = "noise, or an unlogged cause" if d.verdict == "unexplained" else "noise"
     pairs: list[tuple[str, Any]] = [
         ("log", d.log.path or "a log in memory"),
         ("samples", f"{d.log.rows} in {d.log.runs} {d.held_out.rpartition(' ')[2]}s" if d.log.rows else None),
         (f"{d.held_out}s", shared.numbers(d.validation_runs)),
         ("noise floor", d.noise_floor.source),
-        (noise_name(d), noise_text(d.noise, d.noise_floor.source == "stated") if d.noise else None),
+        (noise, noise_text(d.noise, d.noise_floor.source == "stated") if d.noise else None),
         ("worth reporting", f"a decrease of {100 * d.threshold:g} % or more"),
         # with the least possible p-value where units are few
         (
