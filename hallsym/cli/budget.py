@@ -47,7 +47,7 @@ log LOG <optional>              log whose workspace is evaluated
 --curve JSON                    a curve that the machine follows: its error joins the budget
 [of a calibration]
 --at COLUMN=VALUE <repeat>      pose and vertical state of the budget: --at x_um=100 --at z_um=250
-    (repeat; default 0)
+    (repeat; default 0, or a usual pose)
 --settings TOML                 averaging, ADC, zeroing, vertical sensors, scale of the reference
 --diagnosis JSON                file of 'hallsym diagnose LOG -o FILE.json': adds the model error, and
     the models that the log does not exclude, to the budget

@@ -141,7 +141,7 @@ def _noise(model: Model, noise: Mapping[str, float]) -> dict[str, float]:
     if missing:
         raise InputError(
             f"Noise of {missing[0]} is not stated; give 1 sigma of every reading and reference in [noise], "
-            "in the unit that its name ends with."
+            "in the unit that its name ends with, or plan with a calibration or a log, which tell it."
         )
     return sigmas
 
