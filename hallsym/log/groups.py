@@ -213,7 +213,7 @@ class GroupedSource(Source):
         kept = [self.master, *(g for members in sets for g in members if g is not self.master)]
         self._leave_others(kept[1:])
         self.places, self.aliases = places(kept, by)
-        found = {name: (g.units | g.source.units).get(c) for name, (g, c) in self.places.items()}
+        found = {name: {**g.units, **g.source.units}.get(c) for name, (g, c) in self.places.items()}
         self.units = {name: unit for name, unit in found.items() if unit}
         self.numbered = bool(self.runs) and RUN not in self.places
         self.names = (*((RUN,) if self.numbered else ()), *self.places)
