@@ -442,6 +442,9 @@ class Columns:
         self.most = max(FEWEST, ENTRIES // max(len(self.near) * len(model.channels), len(self.column)))
         self.precision = np.linalg.inv(base.covariance)
         self.whiten = np.linalg.cholesky(self.precision).T
+        touched = np.zeros((own + 1, len(self.precision)), dtype=bool)
+        touched[self.graph.near[1], self.graph.near[0]] = touched[-1] = True
+        self.touched = [np.flatnonzero(channels) for channels in touched]
 
     def batches(self, log: Log) -> Iterator[Batch]:
         """Yield a log in batches with all columns that the models read."""
@@ -508,29 +511,26 @@ def _add_products(
     work: Columns, near: np.ndarray, rows: np.ndarray, D: np.ndarray, out: tuple[Products, Products]
 ) -> None:
     """Add the products of some samples of each block."""
-    first, blocks = work.z + work.n, near.shape[2]
-    white, decoded = np.tensordot(work.whiten, near, axes=(1, 1)).swapaxes(0, 1), _decoded(D, near)
-    for M, columns in zip(out, (white, decoded), strict=True):
+    first, (white, mapped) = work.z + work.n, out
+    decoded = _decoded(work, D, near)
+    for M, columns in zip(out, (np.tensordot(work.whiten, near, axes=(1, 1)).swapaxes(0, 1), decoded), strict=True):
         M.border[:, :, work.near] += _gram(columns)
-    if not len(rows):
-        return
-    metric = np.tensordot(work.precision, near, axes=(1, 1)).swapaxes(0, 1)
-    mapped = np.einsum("ikbs,oibs->okbs", D, decoded)
-    for M, columns in zip(out, (metric, mapped), strict=True):
-        for k, at in enumerate(work.of_channel):
-            across = columns[:, k].transpose(1, 0, 2) @ rows[at].transpose(1, 2, 0)
-            M.border[:, :, first + work.column[at]] += across
+    metric = np.tensordot(work.precision, near, axes=(1, 1)) if len(rows) else ()
+    for columns, at in zip(metric, work.of_channel, strict=False):
+        across = columns.swapaxes(0, 1) @ rows[at].transpose(1, 2, 0)
+        white.border[:, :, first + work.column[at]] += across
     for place, width, own in zip(work.places.values(), np.diff(work.ends), work.own, strict=True):
         if len(own):
-            square = (blocks, width, width)
-            _add_own(work, rows, own, D, *(M.inner[:, place].reshape(square) for M in out))
+            square = (len(white.inner), width, width)
+            _add_own(work, rows, own, D, decoded, mapped.border, *(M.inner[:, place].reshape(square) for M in out))
 
 
-def _decoded(D: np.ndarray, near: np.ndarray) -> np.ndarray:
+def _decoded(work: Columns, D: np.ndarray, near: np.ndarray) -> np.ndarray:
     """Return the columns `near` mapped to errors of the pose, (own, n_pose, blocks, samples)."""
     out = np.empty((len(near), len(D), *near.shape[2:]))
     for k, column in enumerate(near):
-        np.einsum("ikbs,kbs->ibs", D, column, out=out[k])
+        at = work.touched[k]
+        np.einsum("ikbs,kbs->ibs", D[:, at], column[at], out=out[k])
     return out
 
 
@@ -541,9 +541,17 @@ def _gram(columns: np.ndarray) -> np.ndarray:
 
 
 def _add_own(
-    work: Columns, rows: np.ndarray, at: np.ndarray, D: np.ndarray, white: np.ndarray, out: np.ndarray
+    work: Columns,
+    rows: np.ndarray,
+    at: np.ndarray,
+    D: np.ndarray,
+    decoded: np.ndarray,
+    border: np.ndarray,
+    white: np.ndarray,
+    out: np.ndarray,
 ) -> None:
-    """Add the products of the rows `at` of a candidate with each other, (blocks, k, k) twice."""
+    """Add the products of the rows `at` of a candidate with each other, (blocks, k, k) twice, and of their
+    decoded errors with those of the model's columns (`decoded`), to `border` (blocks, own, columns)."""
     stack, channel, K = rows[at].swapaxes(0, 1), work.channel[at], len(work.whiten)
     first = np.flatnonzero(np.diff(work.column[at], prepend=-1))
     place = work.column[at][first] - work.ends[work.owner[at[0]]]
@@ -562,6 +570,10 @@ def _add_own(
             columns = np.zeros((k, K, *part.shape[1:]))
             columns[np.repeat(np.arange(k), np.diff([*first, len(at)])), channel] = part
             white[:, *block] += _gram(np.tensordot(work.whiten, columns, axes=(1, 1)).swapaxes(0, 1))
-    for spread in D[:, channel].swapaxes(1, 2):
+    across, gram = (np.zeros((len(stack), n, k)) for n in (len(decoded), k))
+    for spread, own in zip(D[:, channel].swapaxes(1, 2), decoded.swapaxes(0, 1), strict=True):
         moved = by_column(spread * stack)
-        out[:, *block] += moved @ moved.swapaxes(1, 2)
+        gram += moved @ moved.swapaxes(1, 2)
+        across += own.swapaxes(0, 1) @ moved.swapaxes(1, 2)
+    out[:, *block] += gram
+    border[:, :, work.z + work.n + work.column[at][first]] += across
