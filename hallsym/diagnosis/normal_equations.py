@@ -201,6 +201,8 @@ def _graph(model: Model, free: Sequence[int], candidates: Sequence[tuple[Model, 
         ca.cse(ca.vertcat(*rows)[order.tolist()]) if rows else ca.SX(0, 1),
     ]
     run = on_arrays(ca.Function("columns", inputs, [ca.densify(one) for one in outputs]))
+    for wide, _ in candidates:
+        wide.forget()  # few are fitted, and all are remembered
     return Graph(run, tuple(name for name, _ in state.values()), entries(own), far[:, order])
 
 

@@ -246,15 +246,18 @@ def _parts(tried: dict[str, Candidate], own: int) -> Iterator[dict[str, Candidat
 class Regressions:
     """Fits of candidates to stacks of units, (F, units) of 0 and 1, that are judged on other units."""
 
-    def __init__(self, table: "Table", training: np.ndarray, judging: np.ndarray) -> None:
-        self.table, self.training, n = table, training * 1.0, table.own
-        self.judged = table.t.decoded.summed(judging * 1.0)
-        self.inverse = pseudo_inverse(np.tensordot(self.training, table.t.likelihood[:, :n, :n], 1))
+    def __init__(
+        self, t: NormalEquations, tried: dict[str, Candidate], training: np.ndarray, judging: np.ndarray
+    ) -> None:
+        self.t, self.tried, self.training, n = t, tried, training * 1.0, t.span[""].stop
+        self.judged = t.decoded.summed(judging * 1.0)
+        self.inverse = pseudo_inverse(np.tensordot(self.training, t.likelihood[:, :n, :n], 1))
+        self.plain = self.solved(None).by
 
     def solved(self, key: str | None) -> "Solved":
         """Fit a candidate (None: nothing) and the model's own parameters to each stack of units."""
-        table, n = self.table, self.table.own
-        M = np.tensordot(self.training, table.t.of(key), 1)
+        n = len(self.inverse[0])
+        M = np.tensordot(self.training, self.t.of(key), 1)
         through = self.inverse @ M[:, :n, n:]
         left = M[:, n:, n:] - M[:, n:, :n] @ through
         raw, squares = (np.diagonal(x, axis1=1, axis2=2)[:, :-1] for x in (M[:, n:, n:], left))
@@ -262,7 +265,7 @@ class Regressions:
         inside = left[:, :-1, :-1] * (seen[:, :, None] & seen[:, None, :])
         theta = (pseudo_inverse(inside) @ (left[:, :-1, -1] * seen)[:, :, None])[:, :, 0]
         if key:
-            c = table.tried[key]
+            c = self.tried[key]
             lower, upper = (b[[c.model.names.index(name) for name in c.new]] for b in c.model.bounds)
             for f in np.flatnonzero(((theta < lower) | (theta > upper)).any(axis=1)):
                 own, (low, high) = left[f][:-1], (np.where(seen[f], b, 0.0) for b in (lower, upper))
@@ -275,9 +278,8 @@ class Regressions:
 
     def ratio(self, key: str) -> float:
         """Return the gap metric with a candidate over that without, on the units that judge."""
-        M = self.judged.of(self.table.t.span[key], self.table.t.places[key])
-        pick = np.append(np.arange(self.table.own), M.shape[1] - 1)
-        u, none = self.solved(key).by, self.solved(None).by
+        M, u, none = self.judged.of(self.t.span[key], self.t.places[key]), self.solved(key).by, self.plain
+        pick = np.append(np.arange(none.shape[1] - 1), M.shape[1] - 1)
         squares = np.einsum("fi,fij,fj->", u, M, u)
         plain = np.einsum("fi,fij,fj->", none, M[:, pick[:, None], pick], none)
         return float(np.sqrt(squares / max(plain, 1e-300)))
@@ -302,17 +304,17 @@ class Table:
     """
 
     def __init__(self, t: NormalEquations, tried: dict[str, Candidate], runs: Sequence[int]) -> None:
-        self.t, self.tried, self.own = t, tried, t.span[""].stop
+        self.tried = tried
         run, among = np.array([unit[0] for unit in t.runs]), np.zeros(len(t.runs), dtype=bool)
         among[t.units(runs)] = True
         own = list(dict.fromkeys(run[among].tolist()))
         groups = np.array([among & np.isin(run, own[k::FOLDS]) for k in range(min(FOLDS, len(own)))])
         self.readings = float(among @ t.count)
-        self.fitted = Regressions(self, among[None], among[None])
-        cross_validated = Regressions(self, among & ~groups, groups)
+        self.fitted = Regressions(t, tried, among[None], among[None])
+        cross_validated = Regressions(t, tried, among & ~groups, groups)
         self.scores = [self._score(key, cross_validated) for key in tried if key not in t.spoiled]
         # p-values need no decoded products of each unit, which are half of the memory
-        self.t = replace(t, decoded=t.decoded.summed(np.zeros((0, len(among)))))
+        self.t = self.fitted.t = replace(t, decoded=t.decoded.summed(np.zeros((0, len(among)))))
 
     def _score(self, key: str, cross_validated: Regressions) -> Score:
         """Return the score of a candidate; `cross_validated`: without groups of runs, judged on each."""

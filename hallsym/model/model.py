@@ -332,6 +332,11 @@ class Model:
                     self._after.append(signals.copied())
         return signals
 
+    def forget(self) -> None:
+        """Drop the expressions of the chain, which are built again when asked for; the symbols stay."""
+        for name in ("_after", "symbols"):
+            self.__dict__.pop(name, None)
+
     def through(self, signals: Signals, first: int, last: int) -> None:
         """Take signals through the steps `first` to `last` (exclusive)."""
         p = {name: symbol for (kind, name), symbol in self._symbols.items() if kind == "parameter"}
