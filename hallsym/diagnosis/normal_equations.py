@@ -404,8 +404,8 @@ class Columns:
     columns. `span`, `places`: as in `NormalEquations`. `pairs`: the columns, offsets not counted, of each
     product within a candidate. `channel`, `column`: (rows,) of each row of the `count` columns of candidates,
     rows of one channel together at `of_channel`. `own`: the rows (r,) of each candidate, column by column,
-    which begin at `ends`. `most`: samples whose columns are in memory at once. `spoiled`: candidates that
-    were not finite somewhere; their rows are 0 there.
+    which begin at `ends`. `touched`: the channels of each column of `near`. `most`: samples whose columns
+    are in memory at once. `spoiled`: candidates that were not finite somewhere; their rows are 0 there.
     """
 
     def __init__(
@@ -513,18 +513,19 @@ def _add_products(
     work: Columns, near: np.ndarray, rows: np.ndarray, D: np.ndarray, out: tuple[Products, Products]
 ) -> None:
     """Add the products of some samples of each block."""
-    first, (white, mapped) = work.z + work.n, out
-    decoded = _decoded(work, D, near)
-    for M, columns in zip(out, (np.tensordot(work.whiten, near, axes=(1, 1)).swapaxes(0, 1), decoded), strict=True):
+    first, decoded = work.z + work.n, _decoded(work, D, near)
+    own = np.tensordot(work.whiten, near, axes=(1, 1)).swapaxes(0, 1)
+    for M, columns in zip(out, (own, decoded), strict=True):
         M.border[:, :, work.near] += _gram(columns)
-    metric = np.tensordot(work.precision, near, axes=(1, 1)) if len(rows) else ()
-    for columns, at in zip(metric, work.of_channel, strict=False):
+    if not len(rows):
+        return
+    metric = np.tensordot(work.precision, near, axes=(1, 1))
+    for columns, at in zip(metric, work.of_channel, strict=True):
         across = columns.swapaxes(0, 1) @ rows[at].transpose(1, 2, 0)
-        white.border[:, :, first + work.column[at]] += across
-    for place, width, own in zip(work.places.values(), np.diff(work.ends), work.own, strict=True):
-        if len(own):
-            square = (len(white.inner), width, width)
-            _add_own(work, rows, own, D, decoded, mapped.border, *(M.inner[:, place].reshape(square) for M in out))
+        out[0].border[:, :, first + work.column[at]] += across
+    for key, at in zip(work.places, work.own, strict=True):
+        if len(at):
+            _add_own(work, key, rows[at], D, decoded, out)
 
 
 def _decoded(work: Columns, D: np.ndarray, near: np.ndarray) -> np.ndarray:
@@ -543,20 +544,16 @@ def _gram(columns: np.ndarray) -> np.ndarray:
 
 
 def _add_own(
-    work: Columns,
-    rows: np.ndarray,
-    at: np.ndarray,
-    D: np.ndarray,
-    decoded: np.ndarray,
-    border: np.ndarray,
-    white: np.ndarray,
-    out: np.ndarray,
+    work: Columns, key: str, rows: np.ndarray, D: np.ndarray, decoded: np.ndarray, out: tuple[Products, ...]
 ) -> None:
-    """Add the products of the rows `at` of a candidate with each other, (blocks, k, k) twice, and of their
-    decoded errors with those of the model's columns (`decoded`), to `border` (blocks, own, columns)."""
-    stack, channel, K = rows[at].swapaxes(0, 1), work.channel[at], len(work.whiten)
+    """Add the products of the `rows` of a candidate with each other, and of its decoded errors with those of
+    the model's columns, `decoded`."""
+    span, at = work.span[key], work.own[list(work.places).index(key)]
+    width = span.stop - span.start
+    white, inner = (M.inner[:, work.places[key]].reshape(-1, width, width) for M in out)
+    stack, channel, K = rows.swapaxes(0, 1), work.channel[at], len(work.whiten)
     first = np.flatnonzero(np.diff(work.column[at], prepend=-1))
-    place = work.column[at][first] - work.ends[work.owner[at[0]]]
+    place = work.column[at][first] + work.n - span.start
     block, k = np.ix_(place, place), len(first)
 
     def by_column(values: np.ndarray, axis: int = 1) -> np.ndarray:
@@ -568,7 +565,7 @@ def _add_own(
         white[:, *block] += by_column(by_column(gram), axis=2)
     else:  # most columns have a row in most channels
         most = max(1, ENTRIES // (k * K * rows.shape[1]))
-        for part in (rows[at, :, low : low + most] for low in range(0, rows.shape[2], most)):
+        for part in (rows[:, :, low : low + most] for low in range(0, rows.shape[2], most)):
             columns = np.zeros((k, K, *part.shape[1:]))
             columns[np.repeat(np.arange(k), np.diff([*first, len(at)])), channel] = part
             white[:, *block] += _gram(np.tensordot(work.whiten, columns, axes=(1, 1)).swapaxes(0, 1))
@@ -577,5 +574,5 @@ def _add_own(
         moved = by_column(spread * stack)
         gram += moved @ moved.swapaxes(1, 2)
         across += own.swapaxes(0, 1) @ moved.swapaxes(1, 2)
-    out[:, *block] += gram
-    border[:, :, work.z + work.n + work.column[at][first]] += across
+    inner[:, *block] += gram
+    out[1].border[:, :, work.z + span.start + place] += across
