@@ -655,6 +655,8 @@ def _screen(trials: Trials, base: Tried, runs: Sequence[int], *, free: bool) -> 
 EXPLAINS = 0.9
 """Share of the excess that a correction must explain to be named: one that leaves a tenth of it is near the
 right one, not it."""
+CUT_OFF = 4.0
+"""Mean square that steps leave over step^2/12, at most: of numbers cut off, not rounded, step^2/3."""
 EXCESS = 1.5
 """Mean square of the residual over the noise from which on a mistake is looked for: a noise that is stated
 20 % too small is none."""
@@ -894,6 +896,8 @@ def _best(
         if found is None or not found.left or not np.isfinite(base.rest(found)) or not _follows(base, found):
             return
         left = found.mean(found.left, runs)
+        if c.mistake.keeps and left > CUT_OFF:  # a noise that is larger is not all that is wrong
+            return
         same = without_ends(replace(c, columns=())) if c.kind in STEPS else before
         inside = _inside(trials, found, c, runs) if c.kind == "clipped" else 0.0
         after = found.mean(found.deviance, runs) + inside + trials.quieter(c, runs)
