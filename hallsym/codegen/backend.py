@@ -443,7 +443,7 @@ class Backend(ABC):
     def range_test(self, column: str) -> str:
         """Return the C function that brings an input into its range: `within`, `limited`, or none."""
 
-    def held(self, used: Collection[str]) -> list[str]:
+    def clamped(self, used: Collection[str]) -> list[str]:
         """Return C that brings the inputs into their ranges; of those not `used` only the status counts."""
         d, lines = self.decoupler, []
         for port in self.inputs:

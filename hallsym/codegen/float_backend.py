@@ -273,10 +273,10 @@ class FloatBackend(Backend):
             "constant": c,
             "zero": c(0.0),
             "by_size": "all" if all(by_size) else "some" if any(by_size) else "",
-            "held": self.held(self._used(d.folded)),
+            "clamped": self.clamped(self._used(d.folded)),
             "body": statements(d.steps, names, real, results),
             "left": [w.left for w in d.watched],
-            "all_held": self.held(d.inputs),
+            "all_clamped": self.clamped(d.inputs),
             "at_pose": statements(d.at_pose, names, real, {}),
             "known_within": "\n        && ".join(within),
             "reach": ", ".join(dict.fromkeys(f"{d.known(column):.6g} {unit(column)}" for column in d.pose)),
@@ -299,7 +299,7 @@ class FloatBackend(Backend):
 
     def _of_slopes(self, names: Mapping[str, str]) -> dict[str, Any]:
         slopes, values = self.slopes, self._references()[1]
-        held = self.held(self._used(slopes.whole))
+        clamped = self.clamped(self._used(slopes.whole))
         stored = {f"result_{k}": f"slopes->{name}" for k, name in enumerate(slopes.expressions)}
         # the reference is computed in double and written with 13 digits
         limits = [
@@ -308,7 +308,7 @@ class FloatBackend(Backend):
         ]
         return {
             "slopes": slopes.records(),
-            "slope_body": held + statements(slopes.steps, names, self.real, stored),
+            "slope_body": clamped + statements(slopes.steps, names, self.real, stored),
             "slope_bounds": ", ".join(f"{limit:.3e}" for limit in limits),
         }
 

@@ -276,7 +276,7 @@ def check(fit: Fit, allow_undetermined: bool) -> None:
         raise InputError(
             f"The log of this calibration does not determine {names}, which the decoded pose depends on; "
             "record runs that move what they belong to, or give --allow-undetermined to use the values they "
-            "were held at."
+            "were fixed at."
         )
 
 
@@ -301,7 +301,7 @@ def notes_of(fit: Fit) -> tuple[str, ...]:
         )
     if fit.undetermined_by_log:
         notes.append(
-            f"The log does not determine {', '.join(fit.undetermined_by_log)}; the values they were held at "
+            f"The log does not determine {', '.join(fit.undetermined_by_log)}; the values they were fixed at "
             "are used."
         )
     for channel, (source, sign) in zip(fit.model.channels, fit.assignment or (), strict=bool(fit.assignment)):

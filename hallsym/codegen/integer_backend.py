@@ -240,7 +240,7 @@ class IntegerBackend(Backend):
             "zero": "0",
             "scaled": scales,
             "largest": LARGEST,
-            "held": self.held([c for c in d.inputs if c in p.angles or short(c) in used]),
+            "clamped": self.clamped([c for c in d.inputs if c in p.angles or short(c) in used]),
             "body": p.c({e.name: f"p->{e.name}" for e in self.numbers}),
             "left": p.left,
             "operations": [line.operation for line in p.lines],

@@ -95,7 +95,7 @@ class Observer:
         """Return a decoupler with this observer behind it; `reach`: largest travel of each coordinate."""
         longest = LONGEST * self.period_s
         entries = (
-            # a share and a held speed: whatever table is accepted, the observed position does not grow
+            # a share and a bounded speed: whatever table is accepted, the observed position does not grow
             Entry("observer_position", self.position, "1", "share of a new pose in the position", "share"),
             Entry("observer_speed", self.speed, "1/s", "what a new pose adds to the observed speed", "sign"),
             Entry("observer_settled", float(self.settled), "1", "samples until one is settled", "sign"),
@@ -139,7 +139,7 @@ def _around(v: np.ndarray, period: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Followed:
-    """What is left of a pose coordinate [its unit] by range of speed, rms: held, and predicted."""
+    """What is left of a pose coordinate [its unit] by range of speed, rms: the last one kept, and predicted."""
 
     column: str
     speeds: tuple[float, ...]
@@ -230,7 +230,7 @@ def _runs(fit: Fit, log_: Log) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]
 def _errors(
     fit: Fit, run: tuple[np.ndarray, np.ndarray, np.ndarray], observers: Sequence[Observer], ahead: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return speeds and errors of the pose held (n_pose, s), of predictions (n_pose, n, s) of a run.
+    """Return speeds and errors of the last pose kept (n_pose, s), of predictions (n_pose, n, s) of a run.
 
     And which samples count (n, s): after a start, half a run at most, and whose time ahead the run covers.
     """

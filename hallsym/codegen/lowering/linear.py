@@ -335,7 +335,7 @@ class PolynomialModel:
     def exact(self, p: np.ndarray, weight: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         """Return `inputs (n_inputs, s) -> pose (n_pose, s)` by the model's own decoded form, offsets 0.
 
-        The weight of a reading is held in units of its displacement, as the table holds it.
+        The weight of a reading has the units of its displacement, as in the table.
         """
         model, eta = self.model, self.eta(p)
         gain, run = on_arrays(model.gain), on_arrays(model.decoded)

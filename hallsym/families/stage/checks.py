@@ -67,11 +67,11 @@ def implausible(fit: Any) -> Iterator[Fault]:
 
 
 def _corrections(
-    model: Any, told: Collection[str], values: np.ndarray, positions: np.ndarray
+    model: Any, tilts: Collection[str], values: np.ndarray, positions: np.ndarray
 ) -> list[Correction]:
     """Return the signs, scales and orders of the state by which gains are those of a rigid stage.
 
-    Their slopes over the places are 1 for the tilts that are `told`, and the axis of the tilts lies no
+    Their slopes over the places are 1 for these `tilts`, and the axis of the tilts lies no
     further from the origin than the probes do, in x and in y. Of each column the most usual unit.
     `values`: a, b and c of each probe; `positions`: (probes, 2).
     """
@@ -88,7 +88,7 @@ def _corrections(
         for _, tilt, axis, sign in TILTS:
             ratio, places = sign * gains[tilt] / gains["z_m"], positions[:, axis]
             away = places - places.mean()
-            slope = away @ ratio / (away @ away) if tilt in told else 1.0
+            slope = away @ ratio / (away @ away) if tilt in tilts else 1.0
             fits &= 1 / NEAREST < slope < NEAREST and abs(np.mean(places - ratio)) <= reach
         if fits:
             out.setdefault(one.columns, one)

@@ -29,11 +29,11 @@ def fleet_content(fleet: Fleet) -> Content:
     model = f" of {fleet.model.name}" if fleet.model else ""
     count, good = len(fleet.rows), int(fleet.good.sum())
     verdicts = [[v, str(len(devices)), VERDICTS[v]] for v, devices in fleet.verdicts.items()]
-    alike: dict[str, list[str]] = {}
+    devices: dict[str, list[str]] = {}
     for device, why in fleet.outlying.items():
-        alike.setdefault(why, []).append(device)
-    listed, differing = [(few(names), why) for why, names in alike.items()], len(fleet.outlying)
-    rest = sum(map(len, [*alike.values()][MOST_LISTED:]))
+        devices.setdefault(why, []).append(device)
+    listed, differing = [(few(names), why) for why, names in devices.items()], len(fleet.outlying)
+    rest = sum(map(len, [*devices.values()][MOST_LISTED:]))
     outlying: list[Block | str] = [
         Table([f"{counted(differing, 'device')} to look at", "why"], listed[:MOST_LISTED], wordy=(1,),
               caption="devices that differ from the others or could not be fitted"),

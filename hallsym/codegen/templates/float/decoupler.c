@@ -86,7 +86,7 @@ uint32_t decoupler_step(const decoupler_params_t *p, const decoupler_in_t *in, d
 {% endif %}
 {
     uint32_t status = 0U;
-    {{ held }}
+    {{ clamped }}
     {{ body }}
 {% for name in left if d.suspects %}
     left[{{ loop.index0 }}] = {{ name }};
@@ -119,7 +119,7 @@ uint32_t decoupler_zero(decoupler_params_t *p, const decoupler_in_t *in, const d
 {% if d.at_pose %}
         {{ real }} zeros[{{ d.pose | length }}];
         status = 0U;
-        {{ all_held }}
+        {{ all_clamped }}
 {% if d.redundancy %}
         decoupler_out_t seen;
         status |= decoupler_step(p, in, &seen);

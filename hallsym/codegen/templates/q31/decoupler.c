@@ -34,7 +34,7 @@ uint32_t decoupler_step(const decoupler_params_t *p, const decoupler_in_t *in, d
 {% if b.limited or d.flags %}
     uint32_t status = 0U;
 {% endif %}
-    {{ held }}
+    {{ clamped }}
     {{ body }}
 {% for o in outputs %}
     out->{{ o.member }} = {{ o.line }};
