@@ -139,7 +139,7 @@ def _around(v: np.ndarray, period: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Followed:
-    """What is left of a pose coordinate [its unit] by range of speed, rms: the last one kept, and predicted."""
+    """What is left of a pose coordinate [its unit] by range of speed, rms: the last one, and predicted."""
 
     column: str
     speeds: tuple[float, ...]
