@@ -51,6 +51,11 @@ def test_three_directions_are_null_and_are_the_three_pairs_of_h(name):
                 assert np.abs(block).max() < 1e-9
 
 
+def test_the_tied_form_and_finite_rotation_make_h_observable():
+    for name, effects in (("stage31_tied", ()), ("stage31", ("exact_rotation",))):
+        assert null_of(build(name, added=effects)).shape[1] == 0
+
+
 @pytest.mark.parametrize(("name", "effects"), combinations_of_effects())
 def test_null_directions_leave_readings_alone_and_no_other_does(name, effects):
     """Rank of d reading / d p over random poses, states and zeros, by plain differences of the model."""
