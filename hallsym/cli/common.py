@@ -62,18 +62,23 @@ def own_effects(options: Namespace) -> dict[str, Effect]:
 
 
 def open_log(
-    options: Namespace, machine: Machine | None = None, known: Fit | None = None, path: str | None = None
+    options: Namespace,
+    machine: Machine | None = None,
+    known: Fit | None = None,
+    path: str | None = None,
+    *,
+    correct: Sequence[str] = (),
 ) -> Log:
     """Read a log, `options.log` by default; a machine's probes stand in place of the log's own.
 
-    `known`: a calibration, whose names of columns count where nothing else is stated.
+    `known`: a calibration, whose names of columns count where nothing else is stated. `correct`: mistakes of
+    the recording to undo; a fit is given them beside its log, since its result keeps them.
     """
     reading = reading_of(options) | {"drop_bad": options.drop_bad}
     reading |= {} if known is None else {"remembered": known.columns, "read_with": known.read_with}
     path = options.log if path is None else path
     log = read_log([path, *options.join] if options.join else path, **reading)
-    if options.command != "fit":  # which keeps them with its result
-        log = corrected(log, [read_correction(text) for text in getattr(options, "correct", [])])
+    log = corrected(log, [read_correction(text) for text in correct])
     if machine is None:
         return log
     meta = machine.applied(log.meta)

@@ -58,7 +58,7 @@ def run(options: Namespace) -> int:
     """Carry the command out."""
     machine, own = read_machine(options.machine), own_effects(options)
     known = load_fit(options.model, own) if str(options.model).endswith(".json") else None
-    log = open_log(options, machine, known)
+    log = open_log(options, machine, known, correct=options.correct)
     name = options.model or default_model(log.meta)
     holdout = None if options.holdout is None else read_runs(options.holdout, "--holdout")
     if known:

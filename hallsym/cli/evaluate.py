@@ -98,7 +98,7 @@ def run(options: Namespace) -> int:
 
 
 def _judged(options: Namespace, known: Fit, path: str) -> Judged:
-    log = common.open_log(options, known=known, path=path)
+    log = common.open_log(options, known=known, path=path, correct=options.correct)
     seen = evaluate(known, log, own_zero=options.own_zero, drop_bad=options.drop_bad)
     next_command = shlex.join(_diagnose(options, path))
     seen = replace(seen, goodness=replace(seen.goodness, next_command=next_command, what="The calibration"))

@@ -37,7 +37,7 @@ log LOG                         the log that was fitted, or another one
 def run(options: Namespace) -> int:
     """Carry the command out."""
     known = load_fit(options.calibration, own_effects(options))
-    log = at_rest(open_log(options, known=known), known.model)
+    log = at_rest(open_log(options, known=known, correct=options.correct), known.model)
     if not options.drop_bad:
         columns, read = logged_columns(known.model), as_read(log, known.model, known.corrections)
         log = replace(log, notes=tuple(check_log(read, columns)))

@@ -65,7 +65,7 @@ def _recorded(options: Namespace) -> Identifiability:
     if options.model or options.effect or options.machine:
         raise InputError("--model, --effect and --machine belong to --plan; a calibration has its own.")
     known = load_fit(options.calibration, common.own_effects(options))
-    log, show = common.open_log(options, known=known), common.progress_of(options)
+    log, show = common.open_log(options, known=known, correct=options.correct), common.progress_of(options)
     return identify(known, log, profiles=options.profiles, on_progress=show)
 
 

@@ -95,10 +95,8 @@ def injections(
         elif own:
             gridded = any(effect.numbers[n].grid for n in tried[own[0]].variant.numbers)
             key = own[(len(own) - 1) // 2] if gridded else own[0]
-            squares = (
-                np.diag(t.decoded.of(t.span[key], t.places[key]).sum(axis=0))[len(base.free) : -1]
-                / t.count.sum()
-            )
+            decoded = t.decoded.of(t.span[key], t.places[key]).sum(axis=0)
+            squares = np.diag(decoded)[len(base.free) : -1] / t.count.sum()
             strength = np.sqrt(np.maximum(squares, 0.0))
             add(effect, _effect(truth, tried[key], strength, draw(effect.name)))
         elif not variants:

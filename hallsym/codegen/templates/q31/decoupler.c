@@ -25,11 +25,7 @@ static inline int32_t limited(int32_t value, int32_t low, int32_t high, uint32_t
 }
 
 {% endif %}
-{% if d.suspects %}
-static uint32_t pose_of(const decoupler_params_t *p, const decoupler_in_t *in, {{ real }} *left, decoupler_out_t *out)
-{% else %}
-uint32_t decoupler_step(const decoupler_params_t *p, const decoupler_in_t *in, decoupler_out_t *out)
-{% endif %}
+{% include "common/fragments/signature.c" %}
 {
 {% if b.limited or d.flags %}
     uint32_t status = 0U;

@@ -22,14 +22,7 @@ static unsigned long all_{{ by }}({{ real ~ " low, " if by == "limited" }}{{ rea
         uint32_t status = 0U;
         (void)memcpy(&value, &bits, sizeof(value));
         const {{ real }} held = {{ by }}(value, {{ "low, " if by == "limited" }}high, 1U, &status);
-        const uint32_t inside = ((value >= low) && (value <= high)) ? 1U : 0U;
-        const uint32_t good = ((held >= low) && (held <= high)) ? 1U : 0U;
-        const uint32_t same = ((inside == 0U) || (held == value)) ? 1U : 0U;
-        bad += ((good & same & (status ^ inside)) == 1U) ? 0UL : 1UL;
-        bits++;
-    } while (bits != 0U);
-    return bad;
-}
+{% include "common/fragments/tried.c" %}
 
 {% endfor %}
 int main(void)

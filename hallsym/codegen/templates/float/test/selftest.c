@@ -124,12 +124,7 @@ static uint32_t differs({{ real }} value, double wanted, double bound, double *w
 decoupler_selftest_t decoupler_selftest(void)
 {
     decoupler_selftest_t result = {0U, 0U, 0.0};
-{% if d.flags %}
-    decoupler_params_t strict = decoupler_params;
-{% for f in d.flags %}
-    strict.{{ f.least }} = {{ most }};
-{% endfor %}
-{% endif %}
+{% include "common/fragments/strict.c" %}
     for (uint32_t k = 0U; k < DECOUPLER_VECTORS; k++)
     {
         const vector_t *wanted = &decoupler_vectors[k];
