@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
+import pytest
 from scipy.io import savemat
 
-from hallsym.log import write_log
+from hallsym.errors import InputError
+from hallsym.log import check_log, read_log, write_log
 
 STAGE = ("run", "t_s", "hall_a_m", "hall_b_m", "z_m", "x_ref_m", "y_ref_m", "rz_ref_rad")
 
@@ -30,6 +33,14 @@ def stage_arrays(runs: int = 4, samples: int = 400, seed: int = 0) -> dict[str, 
 def one_sentence(message: str) -> bool:
     """A message for a person: one line, ends with a full stop, not a traceback."""
     return "\n" not in message and message.endswith(".") and 20 < len(message) < 500
+
+
+def refused(path: Path, says: str, **options: Any) -> None:
+    """A file is refused in one sentence that names it."""
+    with pytest.raises(InputError, match=says) as caught:
+        check_log(read_log(path, **options))
+    assert one_sentence(str(caught.value)), caught.value
+    assert path.name in str(caught.value)
 
 
 def save(columns: Mapping[str, np.ndarray], path: Path) -> None:

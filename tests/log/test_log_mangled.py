@@ -214,23 +214,6 @@ def test_what_programs_write(tmp_path: Path, head: list[str], body: list[str]) -
     assert log.array("x_ref_m")[-1] == pytest.approx(29.5e-6)
 
 
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("".join(f"{k};{k},5\n" for k in range(30)), "must hold column names"),
-        ("t_s,x_ref_mm\n" + "".join(f"{k},0,{k},5\n" for k in range(30)), "commas may be decimal signs too"),
-        ("t_s,x_ref\n" + "".join(f"{k},{k},{k}\n" for k in range(30)), "Line 2 of .* must have 2 cells"),
-        ("t;x_ref_um\n0;1\n" + "".join(f"{k};{k % 900},5\n" for k in range(40000)) + "1;1.234,5\n",
-         "Line 40003.*if a point separates thousands, state --decimal ,"),
-    ],
-)  # fmt: skip
-def test_what_cannot_be_read_is_named(tmp_path: Path, text: str, says: str) -> None:
-    path = tmp_path / "log.csv"
-    path.write_text(text)
-    with pytest.raises(InputError, match=says):
-        list(read_log(path).blocks())
-
-
 def test_columns_of_one_name_are_numbered_and_answer_to_their_own(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("t_s,Hall [um],Hall [um].1,Temp [K]\n0,1,2,300\n1,3,4,301\n")
