@@ -14,7 +14,7 @@ import pytest
 from firmware import need, ran
 from recordings import Size, machine
 from trial_families import ARRAY, second_harmonic
-from twins import simulated
+from twins import example_log
 
 import hallsym
 from hallsym import InputError, Log, Meta, families
@@ -31,18 +31,10 @@ BOX = {"x_m": (-1e-2, 1e-2), "z_m": (4e-3, 6e-3)}
 each_family = pytest.mark.parametrize("family", [*FAMILIES, ARRAY], ids=str)
 
 
-def recorded(model, extra=None) -> Log:
-    """The log of the family's example."""
-    example = model.family.example
-    noise = {c: s for c, s in example.noise.items() if c in (*model.channels, *model.references)}
-    plan = campaign_from(example.campaign, "the example")
-    return simulated(model, {**example.values, **(extra or {})}, plan, noise)
-
-
 @cache
 def fitted() -> tuple[Log, hallsym.Fit]:
     model = ARRAY.models[0]()
-    log = recorded(model)
+    log = example_log(model)
     return log, hallsym.fit(log, model, solver="direct")
 
 
@@ -103,7 +95,7 @@ def test_a_fit_finds_what_was_simulated(start):
 
 def test_a_calibration_and_its_effect_are_saved_by_their_names(tmp_path):
     model = ARRAY.models[0]()
-    fit = hallsym.fit(recorded(second_harmonic(model), HARMONIC), model, effects=["second_harmonic"])
+    fit = hallsym.fit(example_log(second_harmonic(model), HARMONIC), model, effects=["second_harmonic"])
     fit.save(tmp_path / "calib.json")
     assert json.loads((tmp_path / "calib.json").read_text())["added"] == ["second_harmonic"]
     known = hallsym.load_fit(tmp_path / "calib.json", families=(ARRAY,))
@@ -123,7 +115,7 @@ def test_what_the_log_determines_is_said():
 
 def test_an_effect_of_the_family_is_named():
     model = ARRAY.models[0]()
-    found = hallsym.diagnose(recorded(second_harmonic(model), HARMONIC), model, holdout=[2])
+    found = hallsym.diagnose(example_log(second_harmonic(model), HARMONIC), model, holdout=[2])
     assert (found.verdict, found.ranked) == ("explained", ("second_harmonic",))
     assert found.metric.after < 1.1 * found.metric.floor
     (effect,) = found.effects
@@ -134,7 +126,7 @@ def test_the_waves_of_an_error_over_x_are_counted():
     """Nobody knows the effect: the error has three waves per period of x, and goes with the place in it."""
     model = ARRAY.models[0]()
     bare = replace(model, family=replace(ARRAY, effects=()))
-    found = hallsym.diagnose(recorded(second_harmonic(model), HARMONIC), bare, holdout=[2])
+    found = hallsym.diagnose(example_log(second_harmonic(model), HARMONIC), bare, holdout=[2])
     assert (found.verdict, found.ranked) == ("unexplained", ())
     largest = max(found.waves, key=lambda w: w.model)
     assert (largest.coordinate, largest.per_turn) == ("x_m", 3)
@@ -247,7 +239,7 @@ def homed(model):
 
 def test_runs_are_brought_to_one_origin_of_x():
     model = ARRAY.models[0]()
-    log = recorded(model)
+    log = example_log(model)
     columns = {c: log.array(c) for c in log.columns}
     shift = 0.01 * np.arange(len(log.runs))  # a third of a period from run to run
     moved = columns | {"x_ref_m": columns["x_ref_m"] - shift[columns["run"].astype(int)]}
@@ -296,7 +288,7 @@ def bare(log: Log) -> Log:
 
 @pytest.mark.parametrize("family", FAMILIES, ids=str)
 def test_a_broken_family_harms_no_other(family, beside_a_broken_one):
-    log = recorded(family.maker(family.default)()) if family.example else hallsym.bundled_campaign()
+    log = example_log(family.maker(family.default)()) if family.example else hallsym.bundled_campaign()
     model = families.build(families.default_model(Meta(columns=log.columns)))
     assert model.family is family
     assert families.model_for(model.pose) in (f.default for f in FAMILIES)
@@ -306,7 +298,7 @@ def test_a_broken_family_harms_no_other(family, beside_a_broken_one):
 
 
 def test_a_log_is_fitted_and_diagnosed_beside_a_broken_family(beside_a_broken_one):
-    log = recorded(families.build("rotary"))
+    log = example_log(families.build("rotary"))
     fit = hallsym.fit(bare(log), solver="direct")
     assert fit.model.name == "rotary"
     assert hallsym.diagnose(log, holdout=[2]).verdict == "no gap"

@@ -19,7 +19,7 @@ from hallsym.estimation.likelihood import Cost, cost_of
 from hallsym.families import build, published
 from hallsym.log import Block, Log, Noise, Sigma
 from hallsym.model import Model
-from hallsym.simulation import Campaign, NoiseModel, Run, paper_campaign, simulate
+from hallsym.simulation import Campaign, NoiseModel, Run, campaign_from, paper_campaign, simulate
 from hallsym.simulation.paper import VERTICAL_NOISE
 from hallsym.simulation.signals import multi_sine
 
@@ -103,6 +103,14 @@ def simulated(
     known = {n: v for n, v in values.items() if n in model.names}
     made = simulate(model, known, plan, NoiseModel(sigma), seed=seed)
     return Log.from_arrays(made, Noise.given(sigma, tuple(made)))
+
+
+def example_log(model: Model, values: Mapping[str, float] | None = None, **plan: float) -> Log:
+    """Return the log of the example of a model's family; `values`, `plan`: what is other than in it."""
+    example = model.family.example
+    noise = Noise.given(example.noise, (*model.channels, *model.references)).std
+    known = {**example.values, **(values or {})}
+    return simulated(model, known, campaign_from({**example.campaign, **plan}, "the example"), noise)
 
 
 @cache

@@ -3,7 +3,8 @@
 python tests/benchmarks/bench_halbach.py [--seed 2960] [--machines 30] [--planar 0]
 
 Magnets are cuboids of magpylib (`tests/families/halbach_plant.py`); nothing of the model is used. Gains are
-those over their mean, which a fit leaves at 1, places (of one array) those from their mean, which stays 0.
+those over their mean, which a fit leaves at 1, places those from their mean: a shift of all is one of the
+arrays.
 "expected" is 1 and the standard deviation of the rms that the stated correlations give.
 """
 
@@ -56,14 +57,14 @@ def two(seed):
     array = {"name": "X", "wavelength_m": W, "length_m": length, "width_m": width}
     seen = 4 * np.array([plant.field(parts, p)[:, 2] for p in at])
     log, true = log_of(rng, seen, (x, z), names, ("x_ref_m", "z_ref_m"), channels, [array])
-    return log, true | {"dx": off - off.mean()}
+    return log, true | {"dx": off}
 
 
-def planar(seed):
-    """Four arrays of 180 x 150 mm over sums of three sensors, or over each of 72."""
+def planar(seed, places_m=0.0):
+    """Four arrays of 180 x 150 mm over sums of three sensors, or over each of 72, that stand so far off."""
     rng = np.random.default_rng(seed)
-    parts, arrays, names, channels, places = [], [], [], [], []
-    sums = bool(seed % 2)
+    parts, arrays, names, channels, places, off = [], [], [], [], [], ([], [])
+    sums, place_rng = bool(seed % 2), np.random.default_rng([seed, 1])
     for name, centre in ((n, W * np.array(c)) for n, c in CENTRES.items()):
         i = "XY".index(name[0])
         parts += plant.magnets(i, centre, 6 * W, 5 * W)
@@ -76,12 +77,33 @@ def planar(seed):
                 names.append(f"hall_{len(names)}_0_v")
                 positions = [p.tolist() for p in group]
                 channels.append({"channel": names[-1], "array": name, "positions_m": positions})
-                places += group
+                off[i].append(places_m * place_rng.standard_normal())
+                places += [p + off[i][-1] * np.eye(2)[i] for p in group]
     t = np.linspace(0, 2 * np.pi, 1200)
     size = np.array([0.015, 0.015, 1.2e-3, 6e-3, 6e-3, 6e-3])
     pose = size * np.sin(rng.uniform(5, 23, 6) * t[:, None] + rng.uniform(0, 6, 6)) + [0, 0, 6e-3, 0, 0, 0]
     seen = 4 * plant.readings(parts, np.array(places), pose).reshape(len(names), -1, len(t)).mean(axis=1)
-    return log_of(rng, seen, pose.T, names, REFERENCES, channels, arrays)
+    log, true = log_of(rng, seen, pose.T, names, REFERENCES, channels, arrays)
+    return log, true | ({"dx": np.array(off[0]), "dy": np.array(off[1])} if places_m else {})
+
+
+def deviations(model, make, seed):
+    """Return estimates of a drawn machine less the truth over their standard uncertainty, by effect.
+
+    Beside them the sum of squares of their stated correlations.
+    """
+    log, true = make(seed)
+    effects = ["gain_mismatch", "offset_error"] + ["sensor_position_error"] * ("dx" in true)
+    fit = hallsym.fit(log, model, effects=effects, solver="direct", loss="none")
+    z, alike = {}, {}
+    for name, values in true.items():
+        at = [k for k, n in enumerate(fit.model.names) if n.startswith(f"{name}_")]
+        own = np.eye(len(at)) - (name[0] == "d") / len(at)
+        covariance = own @ fit.covariance[np.ix_(at, at)] @ own
+        std = np.sqrt(np.diag(covariance))
+        z[name] = own @ (fit.values[at] - values) / std
+        alike[name] = np.sum((covariance / np.outer(std, std)) ** 2)
+    return z, alike
 
 
 def main():
@@ -90,23 +112,18 @@ def main():
         asked.add_argument(f"--{name}", type=int, default=usual)
     args = asked.parse_args()
     for model, make, many in (("halbach", two, args.machines), ("halbach_planar", planar, args.planar)):
-        z, alike = {}, {}
+        every, alike = {}, {}
         for seed in range(args.seed, args.seed + many):
-            log, true = make(seed)
-            effects = ["gain_mismatch", "offset_error"] + ["sensor_position_error"] * ("dx" in true)
-            fit = hallsym.fit(log, model, effects=effects, solver="direct", loss="none")
-            correlation = fit.covariance / np.outer(fit.std, fit.std)
-            for name, values in true.items():
-                at = [k for k, n in enumerate(fit.model.names) if n.startswith(f"{name}_")]
-                z.setdefault(name, []).append((fit.values[at] - values) / fit.std[at])
-                alike[name] = alike.get(name, 0.0) + np.sum(correlation[np.ix_(at, at)] ** 2)
-            said = ", ".join(f"{n} {np.abs(own[-1]).max():.2f}" for n, own in z.items())
-            print(f"{model} {seed}: {len(at)} channels, largest {said}", flush=True)
-        for name, own in z.items():
-            every = np.concatenate(own)
-            spread = np.sqrt(2 * alike[name]) / len(every) / 2
-            print(f"{model}, {name}: {len(every)}, largest {np.abs(every).max():.2f}, "
-                  f"rms {np.sqrt(np.mean(every**2)):.3f} (expected 1 +- {spread:.3f})")  # fmt: skip
+            z, own = deviations(model, make, seed)
+            for name in z:
+                every[name] = np.append(every.get(name, []), z[name])
+                alike[name] = alike.get(name, 0.0) + own[name]
+            said = ", ".join(f"{n} {np.abs(v).max():.2f}" for n, v in z.items())
+            print(f"{model} {seed}: {len(z['gain'])} channels, largest {said}", flush=True)
+        for name, v in every.items():
+            spread = np.sqrt(2 * alike[name]) / len(v) / 2
+            print(f"{model}, {name}: {len(v)}, largest {np.abs(v).max():.2f}, "
+                  f"rms {np.sqrt(np.mean(v**2)):.3f} (expected 1 +- {spread:.3f})")  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -8,11 +8,12 @@ from gap_twins import faulty, listed, machine, unlisted
 from twins import record, with_noise
 
 import hallsym
-from hallsym.diagnosis import POLICY, Base, diagnose, load_effects
-from hallsym.diagnosis.facts import rails_of
+from hallsym.codegen import cost_of
+from hallsym.diagnosis import Base, diagnose, load_effects
 from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.p_values import beyond
 from hallsym.diagnosis.refit import refit, with_model
+from hallsym.diagnosis.report import firmware_cost
 from hallsym.diagnosis.setup import base_of
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
@@ -191,14 +192,6 @@ def fitted(log: Log) -> Base:
     return base_of(log, hallsym.fit(log, "stage31", solver="direct", accept=["all"]))
 
 
-def test_rails_are_where_readings_repeat() -> None:
-    log = machine("multisine", seed=5, thin=6)
-    top = float(np.sort(log.array("hall_a_m"))[-20])
-    data = {c: log.array(c) for c in log.columns} | {"hall_a_m": np.minimum(log.array("hall_a_m"), top)}
-    rails = rails_of(np.array([data[c] for c in hallsym.build("stage31").channels]), POLICY)
-    assert rails == ((-np.inf, top), (-np.inf, np.inf), (-np.inf, np.inf))
-
-
 def test_the_window_of_a_rate_is_as_wide_as_the_motion_allows() -> None:
     t, rng = np.arange(2000) * 0.002, np.random.default_rng(0)
     halves = [
@@ -216,3 +209,17 @@ def test_significance_is_honest_for_what_happens_within_a_run() -> None:
     p = np.array([beyond(v) for v in values])
     for level in (0.01, 0.05, 0.5):
         assert np.mean(p < level) == pytest.approx(level, abs=4 * np.sqrt(level * (1 - level) / 4000))
+
+
+def test_the_firmware_cost_counts_parameters_instructions_and_signals() -> None:
+    small, large = hallsym.build("stage30"), hallsym.build("stage31")
+    # three products, three sums and three entries per probe more
+    assert cost_of(large).operations - cost_of(small).operations == 18
+    assert cost_of(large).moves - cost_of(small).moves == 9
+    a, b = cost_of(small).instructions, cost_of(large).instructions
+    said = firmware_cost(small, large)
+    assert said == f"9 parameters; C about {a} -> {b} instructions, parameter table 100 -> 136 B"
+    late = effects(STAGE_FAMILY)["time_skew"](large)
+    listed = firmware_cost(large, late).removeprefix("1 parameter and 12 signals to compute (d1_x_ref_m, ")
+    assert listed.count(",") == 2  # two more, and that there are others
+    assert listed.endswith(", ...); no C is generated with it")

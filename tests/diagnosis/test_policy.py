@@ -7,7 +7,6 @@ simulated logs twice, with the policy and with one threshold switched off.
 import sys
 from collections.abc import Callable
 from dataclasses import fields, replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -20,7 +19,6 @@ from test_diagnosis_rotary import machine, third
 from test_diagnosis_turn import LIKE_A_TABLE, table
 from test_survey import encoder
 
-import hallsym
 from hallsym.diagnosis import POLICY, Base, Diagnosis, diagnose, prepare
 from hallsym.diagnosis.curves import LackOfFit, Shape
 from hallsym.diagnosis.facts import facts_of, switched_runs
@@ -326,11 +324,6 @@ def test_a_report_says_below_how_many_runs_there_is_no_interval():
     assert found.shrinkage.interval is None
     again = Diagnosis.from_dict(found.to_dict())
     assert "no 95 % interval: it needs at least 50 runs" in shrinks_text(again)
-
-
-def test_no_decision_reads_the_thresholds_of_all_diagnoses():
-    source = Path(hallsym.__file__).parent
-    assert [str(f) for f in source.rglob("*.py") if "POLICY." in f.read_text()] == []
 
 
 # -- whole diagnoses, with the policy and with one threshold switched off -----------------------------------

@@ -1,7 +1,6 @@
 """Effects that a diagnosis found are fitted, saved, read back and decoded with; `--effect` names them."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,31 +17,12 @@ from hallsym.estimation.decoding import error_tables
 from hallsym.estimation.evaluate import judged
 from hallsym.estimation.factors import exact, summarise_at
 from hallsym.estimation.likelihood import cost_near, cost_of, offsets_of
-from hallsym.families import build, effects
-from hallsym.families.faults import FAULTS
+from hallsym.families import build
 from hallsym.families.mechanisms import nonlinearity, port, stop_state, travel
-from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log
 from hallsym.model import Parameter
 from hallsym.report.views import summary
 
-NUMBERS = {
-    "hysteresis": ("half_width_m=6e-05",),
-    "gain_temperature_drift": ("mean_degc=21.5",),
-    "offset_temperature_drift": ("mean_degc=21.5",),
-    "gain_time_drift": ("duration_s=60,degree=3", "settling_s=12"),
-    "offset_time_drift": ("duration_s=60", "settling_s=12"),
-    "mount_slip": ("probe=B,instant_s=4.5",),
-    "saturation": ("low_m=-2e-4/-2e-4/-inf,high_m=2e-4/2e-4/inf",),
-    "mains_hum": ("frequency_hz=50.02,harmonics=3",),
-    "odd_nonlinearity": ("order=5",),
-    "time_skew": ("per=probe",),
-}
-STAGE = {name: e for name, e in effects(STAGE_FAMILY).items() if e.diagnosed}
-TEXTS = [
-    *(n for n, e in STAGE.items() if not e.lacking(n)),
-    *(f"{n}:{t}" for n, v in NUMBERS.items() for t in v),
-]
 KINDS = (
     ("mount_slip", "grid"),
     ("hysteresis", "multisine"),
@@ -56,13 +36,6 @@ def hidden(name: str, campaign: str, seed: int = 1, thin: int = 6) -> Log:
     return machine(
         campaign, (effect,), seed=seed, temperature="temperature" in name, thin=thin, curvature=0.3
     )
-
-
-def written(log: Log, path: Path) -> Path:
-    """The log as a CSV file."""
-    columns = [log.array(c) for c in log.columns]
-    np.savetxt(path, np.column_stack(columns), delimiter=",", header=",".join(log.columns), comments="")
-    return path
 
 
 # -- what is fitted is what was diagnosed ------------------------------------------------------------------
@@ -129,34 +102,7 @@ def test_a_tangent_has_value_and_slope_of_the_exact_cost() -> None:
     assert np.allclose(other.at(p).derivatives()[1], own.at(p).derivatives()[1], atol=1e-6 * scale)
 
 
-def test_models_without_summaries_are_told_apart() -> None:
-    plain = build("stage31")
-    assert exact(plain)
-    assert exact(build("stage31", added=("height_quadratic",)))
-    assert not exact(build("stage31", added=("odd_nonlinearity",)))  # the zero is inside the cube
-    assert not exact(build("stage31", added=("time_skew",)))  # rates are computed
-    assert not exact(build("stage31", added=(TEXTS[-4],)))
-
-
 # -- text of an effect -------------------------------------------------------------------------------------
-
-
-def test_every_fault_has_a_remedy() -> None:
-    for name, fault in FAULTS.items():
-        with pytest.raises(InputError, match="fault of the recording") as refused:
-            build("stage31", added=(name,))
-        assert fault.remedy in str(refused.value)
-
-
-@settings(max_examples=40, deadline=None)
-@given(st.floats(1e-7, 1e-3), st.tuples(*[st.floats(-1e-3, 1e-3)] * 3))
-def test_numbers_are_read_as_they_are_written(width: float, rails: tuple[float, ...]) -> None:
-    wide = STAGE["hysteresis"](build("stage31"), half_width_m=width)
-    (parameter,) = [p for p in wide.parameters if p.name == "half_width"]
-    assert parameter.nominal == pytest.approx(width, rel=1e-8)
-    low, _, high = STAGE["saturation"].text(low_m=rails, high_m=rails).partition(":")[2].partition(",high_m=")
-    assert [float(v) for v in high.split("/")] == pytest.approx(list(rails), rel=1e-8)
-    assert low.removeprefix("low_m=") == high
 
 
 @pytest.mark.parametrize(
@@ -317,7 +263,8 @@ EFFECTS = (speed_gain,)
 @pytest.mark.slow
 def test_an_effect_of_your_own_is_fitted_saved_and_read_back(tmp_path, capsys) -> None:
     (tmp_path / "my_effects.py").write_text(OWN)
-    log = written(machine("multisine", seed=2, thin=12), tmp_path / "log.csv")
+    log = tmp_path / "log.csv"
+    hallsym.write_log(machine("multisine", seed=2, thin=12), log)
     own = ["--effects", str(tmp_path / "my_effects.py")]
     calib = str(tmp_path / "calib.json")
     words = ["fit", str(log), "--effect", "speed_gain", "--solver", "direct", "-o", calib]

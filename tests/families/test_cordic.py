@@ -43,6 +43,7 @@ def test_levels_are_what_the_arithmetic_gives(steps):
     assert seen == pytest.approx(both, abs=2e-9)
     assert k.rms == pytest.approx(np.sqrt(np.mean((found - a) ** 2)), rel=1e-3)
     assert np.abs(found - a).max() == pytest.approx(k.worst, rel=1e-3)
+    assert k.worst <= np.arctan(2.0 ** (1 - steps)) * (1 + 1e-9)
 
 
 @settings(max_examples=25, deadline=None)

@@ -115,6 +115,9 @@ def test_a_fault_of_a_recording_has_a_remedy_and_is_injected() -> None:
         assert name == fault.name
         assert fault.link in LINKS
         assert fault.remedy.endswith(".")
+        with pytest.raises(InputError, match="fault of the recording") as refused:
+            build("stage31", added=(name,))
+        assert fault.remedy in str(refused.value)
         made = [fault.inject(r, lambda _: np.random.default_rng(1)) for r in (angle, volts)]
         assert any(isinstance(m, Injection) for m in made)
         for r, m in zip((angle, volts), made, strict=True):

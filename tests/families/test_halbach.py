@@ -9,7 +9,8 @@ from math import exp, pi, sin
 
 import numpy as np
 import pytest
-from twins import simulated
+from test_halbach_ends import read
+from twins import example_log
 
 import hallsym
 from hallsym import InputError, Log
@@ -23,25 +24,11 @@ from hallsym.families.published import table as published
 from hallsym.inference.profiles import profile
 from hallsym.log import Meta
 from hallsym.model.model import parameter
-from hallsym.simulation import campaign_from
 from hallsym.uncertainty import errors_along
 
 LC = 0.03 / (2 * pi)
 PRINTED = dict(zip(published("numbers")["quantity"], published("numbers")["value"], strict=True))
 NINE = columns([(j - 4) * 0.01 for j in range(9)])
-
-
-def read(model, values, x, z):
-    """Readings (K, n) of a model at places x and gaps z."""
-    p = model.vector(values)
-    return np.array([np.array(model.reading(p, [], [a, b], [])).ravel() for a, b in zip(x, z, strict=True)]).T
-
-
-def recorded(model, values=None):
-    """The log of the family's example."""
-    noise = dict.fromkeys(model.channels, 0.001) | {"x_ref_m": 1e-7, "z_ref_m": 1e-7}
-    known = {**FAMILY.example.values, **(values or {})}
-    return simulated(model, known, campaign_from(FAMILY.example.campaign, "the example"), noise)
 
 
 # -- numbers of the thesis -----------------------------------------------------------------------------------
@@ -88,7 +75,7 @@ def test_temperature_and_decay():
     model = halbach()
     for h, name in ((1, "first"), (5, "fifth")):
         own = {"a1": float(h == 1), "a5": float(h == 5)}
-        near, far = read(model, own, [0, 0], [5e-3, 5e-3 + LC / 2])[1]
+        near, far = read(model, own, np.zeros(2), np.array([5e-3, 5e-3 + LC / 2]))[1]
         assert 1 - far / near == pytest.approx(PRINTED[f"{name} harmonic lost over half lc"], abs=1e-3)
 
 
@@ -191,7 +178,7 @@ def test_wavelength_is_scale_of_x_and_z_with_the_pitch():
 )
 def test_a_fit_finds_an_effect_that_was_simulated(effect, values):
     known = {e.name: e for e in FAMILY.effects}
-    log = recorded(known[effect](halbach(NINE)), values)
+    log = example_log(known[effect](halbach(NINE)), values)
     fit = hallsym.fit(log, halbach(NINE), effects=[effect], solver="direct")
     assert fit.status == "converged"
     for n, v in values.items():
@@ -208,7 +195,7 @@ def test_gains_and_the_field_have_one_free_factor():
     """The mean gain is 1, whatever is added; a stated amplitude makes gains absolute. All are determined."""
     true = np.random.default_rng(2960).normal(0.02, 0.02, 9)
     model, effects = halbach(NINE), ["gain_mismatch"]
-    log = recorded(transducer.gain_mismatch(model), {f"gain_{k}": g for k, g in enumerate(true.tolist())})
+    log = example_log(transducer.gain_mismatch(model), {f"gain_{k}": g for k, g in enumerate(true.tolist())})
     for added in ([], ["offset_error"]):
         fit = hallsym.fit(log, model, effects=[*effects, *added], solver="direct")
         own = [fit.model.names.index(f"gain_{k}") for k in range(9)]
@@ -241,7 +228,7 @@ def test_two_sensors_half_a_wavelength_apart_tell_no_position():
 
 def _claimed(column, change):
     """Names of claims of a log in which a column is changed."""
-    log = recorded(halbach(NINE))
+    log = example_log(halbach(NINE))
     data = {c: log.array(c) for c in log.columns} | {column: change(log.array(column))}
     return _names(Log.from_arrays(data, log.noise))
 
@@ -260,7 +247,7 @@ def test_logs_that_no_array_can_have_made_are_claimed():
     assert _claimed("x_ref_m", lambda x: x + 0.4) == ["beyond"]
     assert _claimed("x_ref_m", lambda x: 1e-2 * x) == ["scale"]
     assert "unrelated" in _claimed("x_ref_m", np.random.default_rng(0).permutation)
-    log = recorded(halbach(NINE))
+    log = example_log(halbach(NINE))
     short = np.abs(log.array("x_ref_m") - np.median(log.array("x_ref_m"))) < 1e-3
     short_log = Log.from_arrays({c: log.array(c)[short] for c in log.columns}, log.noise)
     assert "short_travel" in _names(short_log)
@@ -270,7 +257,7 @@ def test_logs_that_no_array_can_have_made_are_claimed():
 
 @pytest.mark.slow
 def test_another_wavelength_and_a_silent_sensor_are_far_from_the_noise():
-    model, log = halbach(NINE), recorded(halbach(NINE))
+    model, log = halbach(NINE), example_log(halbach(NINE))
     known = hallsym.fit(log, model, solver="direct")
     scaled = {(c, f): f * log.array(c) for c, f in (("col_3_v", 0.01), ("x_ref_m", 1.25), ("col_3_v", 10.0))}
     silent, *lost = (

@@ -4,12 +4,15 @@ Independent facts: cuboid magnets of magpylib; the error of 10 mm period of Magu
 """
 
 import re
+import sys
+from functools import partial
+from pathlib import Path
 
 import halbach_plant as plant
 import numpy as np
 import pytest
 from firmware import passes, written
-from twins import simulated
+from twins import example_log, simulated
 
 import hallsym
 from hallsym import Log, Noise
@@ -22,6 +25,15 @@ from hallsym.log import Meta
 from hallsym.model import on_arrays
 from hallsym.simulation import campaign_from
 from hallsym.uncertainty import errors_along
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+
+import bench_halbach
+
+from hallsym.families.halbach import PLANAR
+from hallsym.families.halbach.effects import mechanics, transducer
+from hallsym.families.halbach.further import half_turned
+from hallsym.families.halbach.planar import halbach_planar
 
 NINE = columns([(j - 4) * 0.01 for j in range(9)])
 
@@ -126,6 +138,21 @@ def test_offsets_beside_the_ends_of_a_stated_array_are_within_their_uncertaintie
     code = hallsym.generate(again)
     assert any("What ends and sides of the array do leaves at most" in said for said in code.decoupler.said)
     passes(written(code, tmp_path / "fw"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("model", "make", "seed"),
+    [
+        ("halbach", bench_halbach.two, 100),
+        ("halbach_planar", partial(bench_halbach.planar, places_m=5e-5), 103),
+    ],
+)
+def test_gains_offsets_and_places_of_a_drawn_machine_are_recovered(model, make, seed):
+    pytest.importorskip("magpylib")
+    off = np.concatenate(list(bench_halbach.deviations(model, make, seed)[0].values()))
+    assert np.abs(off).max() < 4.0
+    assert 0.6 < np.sqrt(np.mean(off**2)) < 1.6  # nor are the uncertainties larger than they need be
 
 
 @pytest.mark.slow
@@ -282,3 +309,62 @@ def test_gaps_in_another_unit_are_named(unit, by):
     arrays = {"t_s": t, "x_ref_m": x, "z_ref_m": by * z, **{f"col_{k}_v": v[k] for k in range(3)}}
     log = Log.from_arrays(arrays, meta=Meta(base_model="halbach", probes=[part.entry for part in layout]))
     assert hallsym.fit(log, "halbach").claims[0].correction == f"scale z_ref_m {unit}"
+
+
+# -- Causes that a log cannot tell apart come as a group, with the recording that separates them ------------
+
+
+LC_M = 0.03 / 2 / np.pi
+
+
+@pytest.mark.slow
+def test_a_tilt_and_a_place_of_sensors():
+    """1 rad of tilt is lc of place; at gaps where the fifth harmonic has faded nothing tells them apart."""
+    model, tilts = halbach(), {"0": 12e-3, "2": -9e-3}
+    wide, values = mechanics.sensor_tilt(model), {f"tiltx_{k}": t for k, t in tilts.items()}
+    found = hallsym.diagnose(swept(wide, values, (6.2e-3, 7.2e-3)), model, holdout=[1])
+    assert found.verdict == "explained"
+    assert [set(group) for group in found.groups] == [{"sensor_tilt", "sensor_position_error"}]
+    assert "smaller gap" in found.separate_by[0].recording
+
+
+@pytest.mark.slow
+def test_a_lost_magnet_and_a_spread_of_all():
+    model = halbach()
+    log = swept(magnets.lost_magnet(model, magnet=1), {"lost_1": 1.0}, (4.2e-3, 5.2e-3))
+    found = hallsym.diagnose(log, model, holdout=[1])
+    assert (found.verdict, found.ranked[0]) == ("explained", "lost_magnet")
+    assert [set(group) for group in found.groups] == [{"lost_magnet", "remanence_spread"}]
+    assert found.separate_by[0].recording
+    assert found.effects[0].parameters["lost_1"].value == pytest.approx(1.0, abs=0.02)
+
+
+def test_the_height_of_an_array_is_a_gain_of_its_patch_until_the_mover_is_turned():
+    """Of a level mover whose field has one harmonic; a turned mover brings another array over the patch."""
+    height = 6e-5
+    forms = {
+        mechanics.array_geometry_error(halbach_planar(), array="X1", only="height"): {"dz_X1": height},
+        transducer.gain_mismatch(halbach_planar(), of="X1"): {"gain_X1": np.expm1(-height / LC_M)},
+    }
+    pose = np.array([[3e-3, -1e-3, z, 0, 0, 4e-3] for z in (4e-3, 5e-3, 8e-3)]).T
+
+    def apart(*models):
+        read = [
+            np.array(m.reading(m.vector({**PLANAR.example.values, "a5": 0.0, **values}), [], pose, []))
+            for m, values in zip(models, forms.values(), strict=True)
+        ]
+        return np.abs(read[0] - read[1]).max() / np.abs(read[0]).max()
+
+    assert apart(*forms) < 1e-12
+    assert apart(*map(half_turned, forms)) > 0.5 * height / LC_M
+
+
+@pytest.mark.slow
+def test_the_height_of_an_array_and_the_gain_of_its_patch():
+    """A common gain of the sensors under an array is exp(height / lc)."""
+    model, height = halbach_planar(), 6e-5
+    wide = mechanics.array_geometry_error(model, array="X1")
+    found = hallsym.diagnose(example_log(wide, {"dz_X1": height}, step_s=2e-2), model, holdout=[1])
+    assert found.verdict == "explained"
+    assert {"array_geometry_error", "gain_mismatch"} in [set(group) for group in found.groups]
+    assert "turned half round" in found.separate_by[0].recording

@@ -14,7 +14,6 @@ import hallsym
 from hallsym.estimation.factors import summarise
 from hallsym.estimation.likelihood import cost_of
 from hallsym.estimation.optimum import refit
-from hallsym.families.cordic import cordic_angle
 from hallsym.families.published import table
 from hallsym.families.rotary import FAMILY
 from hallsym.families.rotary import models as family
@@ -95,12 +94,6 @@ def test_single_factors_of_table_1(values, printed):
 def test_non_linearity_of_table_1_needs_this_ratio():
     assert pytest.approx(1.896e-3, rel=1e-9) == family.K1 * 0.1 / family.K2
     assert largest_error_deg({"K1": family.K1}) == pytest.approx(0.07682, abs=5e-6)
-
-
-@given(st.integers(1, 24), st.floats(-np.pi, np.pi), st.floats(0.1, 10))
-def test_cordic_is_an_arctangent_to_its_last_rotation(steps, a, r):
-    found = cordic_angle(r * np.sin(a), r * np.cos(a), steps)
-    assert abs(wrap(found - a)) <= np.arctan(2.0 ** (1 - steps)) * (1 + 1e-9)
 
 
 # -- readings --------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from twins import bundled
 
 import hallsym
 from hallsym.errors import InputError
-from hallsym.families.suggest import Suggestion, likeness, suggest, words_of
+from hallsym.families.suggest import Suggestion, suggest
 from hallsym.log import open_source, read_column_file, read_log
 
 
@@ -118,21 +118,6 @@ def test_what_has_no_unit_is_written_as_a_comment() -> None:
     assert "hall" not in text.split("[columns]")[1]
     with pytest.raises(InputError, match="No column of the file holds numbers"):
         suggest(open_source({"Words": ["a"] * 100})[2])
-
-
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [("IFM_X", {"ref", "x"}), ("hallB", {"reading", "b"}), ("Pos X ref", {"ref", "x"}), ("ThetaZ", {"rz"}),
-     ("Encoder sin", {"encoder", "sin"}), ("RX", {"rx"}), ("CH12", {"reading", "12"})],
-)  # fmt: skip
-def test_words_of_names(name: str, words: set[str]) -> None:
-    assert words_of(name) == words
-
-
-def test_a_height_is_no_reference_of_it() -> None:
-    assert likeness("z", "Height") == 1.0
-    assert likeness("z_ref", "Height") == 0.5
-    assert likeness("x_ref", "Hall X") == 0.0
 
 
 def test_columns_of_ours_stay_what_they_are() -> None:

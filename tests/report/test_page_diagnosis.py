@@ -13,9 +13,11 @@ from reports import run_series
 from test_page import Outline
 
 from hallsym.diagnosis import Diagnosis
+from hallsym.output import PROSE
 from hallsym.report.content import document, printed
 from hallsym.report.data.gather import Cells
 from hallsym.report.results.diagnosis import diagnosis_content
+from hallsym.report.views import summary
 
 POSE = ("x_m", "y_m", "rz_rad")
 
@@ -118,7 +120,13 @@ def page_of(record: dict[str, Any], **more: Any) -> str:
     return document(diagnosis_content(Diagnosis.from_dict(record), **more))
 
 
-def test_everything_of_a_record_is_said():
+def test_everything_of_a_record_is_said(monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(PROSE))
+    lines = summary(Diagnosis.from_dict(a_record())).splitlines()
+    assert max(map(len, lines)) <= PROSE
+    told = " ".join(" ".join(lines).split())
+    for words in ("a_A -131.2(11) 1/m", "tau 0.130(20) ms", "58.0 % (54.0 to 62.0) 93 % < 1e-6"):
+        assert words in told, words
     outline = Outline(page_of(a_record(), command="hallsym diagnose log.csv"))
     text = outline.text
     for words in (

@@ -17,6 +17,7 @@ def fitted(known: Certified, start: np.ndarray) -> np.ndarray:
     """IPOPT from the start, then Newton's method until a step is rounding; in units of the start."""
     problem, ones = known.problem(start), np.ones(len(start))
     found = solvers.ipopt(problem, ones, max_iterations=3000)
+    assert found.status == "converged", found.message
     return solvers.newton(problem, found.x, tolerance=1e-16).x * start
 
 
