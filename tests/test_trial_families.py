@@ -106,13 +106,6 @@ def test_a_calibration_and_its_effect_are_saved_by_their_names(tmp_path):
     assert known.value("h2c") == pytest.approx(HARMONIC["h2c"], rel=0.05)
 
 
-def test_what_the_log_determines_is_said():
-    _, fit = fitted()
-    found = hallsym.identify(fit, profiles="none")
-    assert found.structural.rank == found.structural.of == len(fit.model.names)
-    json.dumps(found.to_dict())
-
-
 def test_an_effect_of_the_family_is_named():
     model = ARRAY.models[0]()
     found = hallsym.diagnose(example_log(second_harmonic(model), HARMONIC), model, holdout=[2])
@@ -136,17 +129,11 @@ def test_the_waves_of_an_error_over_x_are_counted():
     assert "waves per period of x [um]" in summary(found)
 
 
-def test_pictures_of_a_fit_are_drawn(tmp_path):
-    from hallsym.report.drawing import save
-    from hallsym.report.results.fit import fit_figure
-
-    log, fit = fitted()
-    written = save({"errors": lambda: fit_figure(log, fit)}, tmp_path)
-    assert all(path.stat().st_size > 1000 for path in written)
-
-
-def test_a_position_has_an_uncertainty():
+def test_a_fit_is_drawn_and_says_what_is_determined_and_how_well_a_position_is_known(tmp_path):
     _, fit = fitted()
+    fit.plot().savefig(tmp_path / "fit.png")
+    structural = hallsym.identify(fit, profiles="none").structural
+    assert structural.rank == structural.of == len(fit.model.names)
     for coordinate, budget in hallsym.position_budget(fit, {"z_m": 5e-3}).items():
         assert 0 < budget.std < 2 * fit.noise_floor[coordinate]
     found = hallsym.uncertainty_map(fit, {c: BOX[c] for c in ("x_m", "z_m")})

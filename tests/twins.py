@@ -113,6 +113,29 @@ def example_log(model: Model, values: Mapping[str, float] | None = None, **plan:
     return simulated(model, known, campaign_from({**example.campaign, **plan}, "the example"), noise)
 
 
+def swept(
+    model: Model,
+    values: Mapping[str, float],
+    moves: Sequence[tuple[float, float, float, float, float, float]],
+    sigma: float = 1e-3,
+    reference: float = 1e-7,
+) -> Log:
+    """Return the log of a magnet array that is swept to and fro.
+
+    `moves` of each run: seconds, amplitude [m] and frequency [Hz] of x and of the gap, and the mean gap [m].
+    """
+    runs = [
+        {
+            "duration_s": seconds,
+            "x_m": {"kind": "sine", "amplitude": x, "frequency_hz": x_hz},
+            "z_m": {"kind": "sine", "amplitude": z, "frequency_hz": z_hz, "about": gap},
+        }
+        for seconds, x, x_hz, z, z_hz, gap in moves
+    ]
+    noise = dict.fromkeys(model.channels, sigma) | {"x_ref_m": reference, "z_ref_m": reference}
+    return simulated(model, values, campaign_from({"step_s": 8e-3, "run": runs}, "sweeps"), noise)
+
+
 @cache
 def campaign(samples: int = 50) -> Campaign:
     """Return the paper's 57 runs with few samples each."""

@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 from beside import REAL, needs
 from gap_twins import machine
-from twins import simulated
+from twins import swept
 
 from hallsym import Fit, evaluate, fit, read_log
 from hallsym.diagnosis import Diagnosis, diagnose
 from hallsym.families.halbach.layout import columns
 from hallsym.families.halbach.models import FAMILY, halbach
 from hallsym.log import Log, Noise, as_log
-from hallsym.simulation import campaign_from
 
 ROOT = Path(__file__).parents[2]
 QUIET = {"seed": 3, "thin": 6, "pink": 0.0, "curvature": 0.0, "noise": "white"}
@@ -87,18 +86,9 @@ def test_recordings_whose_error_repeats_are_never_without_a_gap(folder: str) -> 
 def test_the_floor_is_that_of_the_runs_that_judge() -> None:
     """Noise moves the pose of a magnet array by more at a wider gap than that of the fitted runs."""
     gaps = (0.0042, 0.0052, 0.0072, 0.0042, 0.0052, 0.0046)
-    runs = [
-        {
-            "duration_s": 4.0,
-            "x_m": {"kind": "sine", "amplitude": 0.02, "frequency_hz": 0.9 + 0.1 * k},
-            "z_m": {"kind": "sine", "amplitude": 0.0002, "frequency_hz": 2.3, "about": gap},
-        }
-        for k, gap in enumerate(gaps)
-    ]
     model = halbach(columns([(j - 4) * 0.01 for j in range(9)]))
-    noise = dict.fromkeys(model.channels, 2e-3) | {"x_ref_m": 2e-6, "z_ref_m": 2e-6}
-    plan = campaign_from({"step_s": 0.008, "run": runs}, "gaps")
-    log = simulated(model, FAMILY.example.values, plan, noise)
+    moves = [(4.0, 0.02, 0.9 + 0.1 * k, 2e-4, 2.3, gap) for k, gap in enumerate(gaps)]
+    log = swept(model, FAMILY.example.values, moves, 2e-3, 2e-6)
     d = diagnose(log, model, holdout=[2])
     assert d.verdict == "no gap"
     assert d.metric.before == pytest.approx(d.metric.floor, rel=0.08)

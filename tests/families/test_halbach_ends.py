@@ -12,7 +12,7 @@ import halbach_plant as plant
 import numpy as np
 import pytest
 from firmware import passes, written
-from twins import example_log, simulated
+from twins import example_log, swept
 
 import hallsym
 from hallsym import Log, Noise
@@ -23,7 +23,6 @@ from hallsym.families.halbach.layout import Array, Sensor, arrays, columns
 from hallsym.families.halbach.models import halbach
 from hallsym.log import Meta
 from hallsym.model import on_arrays
-from hallsym.simulation import campaign_from
 from hallsym.uncertainty import errors_along
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
@@ -178,18 +177,8 @@ def travelling(count=24, stroke=0.1):
     """A log of an array of four periods over a board of eight, and the model that made it."""
     places = [(j - (count - 1) / 2) * 0.01 for j in range(count)]
     wide = ends.array_edges(halbach(columns(places, length_m=0.12)))
-    runs = [
-        {
-            "duration_s": 1.0,
-            "x_m": {"kind": "sine", "amplitude": stroke, "frequency_hz": f},
-            "z_m": {"kind": "sine", "amplitude": 1e-3, "frequency_hz": 2.3 * f, "about": 5e-3},
-        }
-        for f in (1.1, 1.4)
-    ]
-    noise = dict.fromkeys(wide.channels, 1e-3) | {"x_ref_m": 1e-7, "z_ref_m": 1e-7}
     values = {"a1": 0.62, "b1": 0.11, "a5": -6e-4, "b5": -8e-4, "edges": 1.0}
-    plan = campaign_from({"step_s": 8e-3, "run": runs}, "travel")
-    return wide, values, simulated(wide, values, plan, noise)
+    return wide, values, swept(wide, values, [(1.0, stroke, f, 1e-3, 2.3 * f, 5e-3) for f in (1.1, 1.4)])
 
 
 @pytest.mark.slow
@@ -241,19 +230,10 @@ def test_what_the_ends_take_of_the_field_is_noted_where_it_counts():
     assert not ended.inspect(ended, log).notes
 
 
-def swept(wide, values, gaps):
+def at_gaps(wide, values, gaps):
     """Sweeps of x of three sums at gaps that stand still."""
-    runs = [
-        {
-            "duration_s": 2.0,
-            "x_m": {"kind": "sine", "amplitude": 0.03, "frequency_hz": f},
-            "z_m": {"kind": "sine", "amplitude": 0.0, "frequency_hz": 1.0, "about": gaps[k % len(gaps)]},
-        }
-        for k, f in enumerate((1.0, 1.3, 0.9, 0.7))
-    ]
-    noise = dict.fromkeys(wide.channels, 1e-3) | {"x_ref_m": 1e-7, "z_ref_m": 1e-7}
-    plan = campaign_from({"step_s": 8e-3, "run": runs}, "sweep")
-    return simulated(wide, {"a1": 0.62} | values, plan, noise)
+    moves = [(2.0, 0.03, f, 0.0, 1.0, gaps[k % len(gaps)]) for k, f in enumerate((1.0, 1.3, 0.9, 0.7))]
+    return swept(wide, {"a1": 0.62} | values, moves)
 
 
 @pytest.mark.slow
@@ -272,7 +252,7 @@ def test_the_puzzle_of_the_thesis(cause, gaps):
         "forbidden_harmonics": (magnets.forbidden_harmonics(model), {"a2": 0.013}),
         "array_edges": (ends.array_edges(model, reads="unknown"), {"ends_cos": 0.011, "ends_sin": 0.003}),
     }[cause]
-    found = hallsym.diagnose(swept(wide, values, gaps), model, holdout=[1])
+    found = hallsym.diagnose(at_gaps(wide, values, gaps), model, holdout=[1])
     assert found.verdict == "explained"
     if len(gaps) == 2:
         assert (found.ranked, found.groups) == ((cause,), ())
@@ -294,7 +274,7 @@ def test_steps_where_sensors_change_are_no_harmonic():
     error = errors_along(wide, {"edges": 1.0}, plain=model, decoder="closed-form")
     assert error.waves == (3, 3)
     assert error.peak.min() > 1e-4
-    found = hallsym.diagnose(swept(wide, {"edges": 1.0}, (4.2e-3,)), model, holdout=[1])
+    found = hallsym.diagnose(at_gaps(wide, {"edges": 1.0}, (4.2e-3,)), model, holdout=[1])
     assert found.ranked == ("array_edges",)
 
 
@@ -322,7 +302,7 @@ def test_a_tilt_and_a_place_of_sensors():
     """1 rad of tilt is lc of place; at gaps where the fifth harmonic has faded nothing tells them apart."""
     model, tilts = halbach(), {"0": 12e-3, "2": -9e-3}
     wide, values = mechanics.sensor_tilt(model), {f"tiltx_{k}": t for k, t in tilts.items()}
-    found = hallsym.diagnose(swept(wide, values, (6.2e-3, 7.2e-3)), model, holdout=[1])
+    found = hallsym.diagnose(at_gaps(wide, values, (6.2e-3, 7.2e-3)), model, holdout=[1])
     assert found.verdict == "explained"
     assert [set(group) for group in found.groups] == [{"sensor_tilt", "sensor_position_error"}]
     assert "smaller gap" in found.separate_by[0].recording
@@ -331,7 +311,7 @@ def test_a_tilt_and_a_place_of_sensors():
 @pytest.mark.slow
 def test_a_lost_magnet_and_a_spread_of_all():
     model = halbach()
-    log = swept(magnets.lost_magnet(model, magnet=1), {"lost_1": 1.0}, (4.2e-3, 5.2e-3))
+    log = at_gaps(magnets.lost_magnet(model, magnet=1), {"lost_1": 1.0}, (4.2e-3, 5.2e-3))
     found = hallsym.diagnose(log, model, holdout=[1])
     assert (found.verdict, found.ranked[0]) == ("explained", "lost_magnet")
     assert [set(group) for group in found.groups] == [{"lost_magnet", "remanence_spread"}]
