@@ -164,6 +164,12 @@ def machine(
     )  # fmt: skip
 
 
+def hidden(name: str, campaign: str, seed: int = 1, kind: Callable | None = None, **options) -> Log:
+    """Return the log of a machine that hides one of the listed effects, or one of another kind."""
+    effect = (kind or listed)(np.random.default_rng(seed))[name]
+    return machine(campaign, (effect,), seed=seed, temperature="temperature" in name, **options)
+
+
 def _noise(rng: np.random.Generator, n: int, kind: str, pink: float) -> np.ndarray:
     white = rng.standard_normal(n)
     if kind == "correlated":

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gap_twins import faulty, listed, machine, unlisted
-from twins import record, with_noise
+from gap_twins import faulty, hidden, machine, unlisted
+from my_effects import speed_gain
 
 import hallsym
 from hallsym.codegen import cost_of
@@ -18,8 +18,8 @@ from hallsym.diagnosis.setup import base_of
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.families.stage.effects.field import hysteresis
-from hallsym.log import Log, Meta, extended
-from hallsym.model import Model, Parameter, Variant
+from hallsym.log import Log, extended
+from hallsym.model import Model, Variant
 from hallsym.model.derived import HALVES, rate, run_time, widest_half
 from hallsym.model.effect import as_effect
 
@@ -28,11 +28,6 @@ NAMED = (  # others are diagnosed and fitted in test_fit_effects.py
     ("second_order_rotation", "turning"),
     ("reference_drift", "multisine"),
 )
-
-
-def hidden(name: str, campaign: str, seed: int = 1, kind=listed, **options) -> Log:
-    effect = kind(np.random.default_rng(seed))[name]
-    return machine(campaign, (effect,), seed=seed, temperature="temperature" in name, **options)
 
 
 @pytest.mark.slow
@@ -71,27 +66,6 @@ def test_delay_and_lag_at_one_frequency_are_a_group_with_what_would_separate_the
     assert set(found.groups[0]) == {"time_skew", "first_order_lag"}
     assert "the same motion at several frequencies" in found.separate_by[0].recording
     assert found.separate_by[0].sigma_now < 5
-
-
-@pytest.mark.slow
-def test_the_papers_own_step_from_model_30_to_31() -> None:
-    log = replace(with_noise(record(seed=4, samples=80)), meta=Meta(holdout=tuple(range(2, 57, 5))))
-    found = diagnose(log, "stage30")
-    assert (found.verdict, found.ranked[0]) == ("explained", "vertical_gain_coupling")
-    refitted = hallsym.fit(log, "stage31", solver="direct").errors.rows()["holdout"]["rmse"]
-    for name, value in found.gap_after.rmse.items():
-        assert value == pytest.approx(refitted[name], rel=0.05)
-
-
-def speed_gain(model: Model) -> Model:
-    """Gain that follows the speed of x."""
-    slope = Parameter("speed_gain", 0.0, -100.0, 100.0, "s/m")
-
-    def step(s, p) -> None:
-        s["gain"] = s["gain"] * (1 + p["speed_gain"] * s["d1_x_ref_m"])
-
-    wide = model.with_columns(rate("x_ref_m"))
-    return wide.with_step("transducer", step, effect="speed_gain", parameters=(slope,))
 
 
 @pytest.mark.slow

@@ -2,9 +2,10 @@
 
 import json
 
+import my_effects
 import numpy as np
 import pytest
-from gap_twins import TRUTH, listed, machine
+from gap_twins import TRUTH, hidden, machine
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from twins import record
@@ -31,20 +32,13 @@ KINDS = (
 )
 
 
-def hidden(name: str, campaign: str, seed: int = 1, thin: int = 6) -> Log:
-    effect = listed(np.random.default_rng(seed))[name]
-    return machine(
-        campaign, (effect,), seed=seed, temperature="temperature" in name, thin=thin, curvature=0.3
-    )
-
-
 # -- what is fitted is what was diagnosed ------------------------------------------------------------------
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "campaign"), KINDS)
 def test_a_fit_with_what_was_found_agrees_with_the_diagnosis(name: str, campaign: str, tmp_path) -> None:
-    log = hidden(name, campaign)
+    log = hidden(name, campaign, thin=6)
     found = diagnose(log, "stage31")
     assert (found.verdict, found.ranked[0]) == ("explained", name)
     assert found.metric.after < 1.1 * found.metric.floor
@@ -239,33 +233,11 @@ def diagnose_only(log: Log, make):
 # -- the command line --------------------------------------------------------------------------------------
 
 
-OWN = '''
-from hallsym.model import rate
-from hallsym.model import Parameter
-
-
-def speed_gain(model):
-    """Gain that follows the velocity of x."""
-    slope = Parameter("speed_gain", 0.0, -100.0, 100.0, "s/m")
-
-    def step(s, p):
-        s["gain"] = s["gain"] * (1 + p["speed_gain"] * s["d1_x_ref_m"])
-
-    return model.with_columns(rate("x_ref_m")).with_step(
-        "transducer", step, effect="speed_gain", parameters=(slope,)
-    )
-
-
-EFFECTS = (speed_gain,)
-'''
-
-
 @pytest.mark.slow
 def test_an_effect_of_your_own_is_fitted_saved_and_read_back(tmp_path, capsys) -> None:
-    (tmp_path / "my_effects.py").write_text(OWN)
     log = tmp_path / "log.csv"
     hallsym.write_log(machine("multisine", seed=2, thin=12), log)
-    own = ["--effects", str(tmp_path / "my_effects.py")]
+    own = ["--effects", my_effects.__file__]
     calib = str(tmp_path / "calib.json")
     words = ["fit", str(log), "--effect", "speed_gain", "--solver", "direct", "-o", calib]
     assert main([*words, *own]) == 0
