@@ -82,34 +82,26 @@ def test_too_few_runs_have_no_steps() -> None:
     assert change_points(table(x)) == ()
 
 
-def test_a_slip_between_runs_is_not_moved_into_one_by_noise() -> None:
-    """The run before it is held out; noise with a memory makes a few samples of the run before that fit."""
-    rng, sensed = np.random.default_rng(10), np.sin(0.07 * np.arange(RUNS * SAMPLES))[None]
-    for _ in range(10):
-        x = noise(rng, 30.0) + 2.0 * sensed * (np.arange(RUNS * SAMPLES) >= 8 * SAMPLES)
-        # noise that remembers 30 samples: a slow average of white noise varies 60 times less
-        (found,) = instants(replace(table(x), sensed=sensed), holdout={7}, slow=60.0)
-        assert found == (0, pytest.approx(0.01 * 8 * SAMPLES))
-
-
-def test_a_slip_within_a_run_lies_there_and_not_between_runs() -> None:
-    """Eight runs, two of them held out: too few to say that this run steps more than others do."""
-    n = 8 * SAMPLES
-    sensed, when = np.sin(0.07 * np.arange(n))[None], 4 * SAMPLES + 60
+@pytest.mark.parametrize(
+    ("runs", "memory", "begins", "rests", "holdout", "earliest", "latest"),
+    [
+        # a few samples of the run before, which noise with a memory makes fit, do not move it there
+        pytest.param(RUNS, 30.0, 8 * SAMPLES, None, {7}, 8 * SAMPLES, 8 * SAMPLES, id="between runs"),
+        # eight runs are too few to say that this one steps more than others do
+        pytest.param(8, 3.0, 4 * SAMPLES + 60, None, {2, 5}, 4 * SAMPLES, 4 * SAMPLES + 120, id="in a run"),
+        # run 7 shows no gain, so that the slip is before or after it; run 8, which is held out, has it
+        pytest.param(RUNS, 3.0, 8 * SAMPLES, 7, {8}, 7 * SAMPLES, 8 * SAMPLES, id="beside a run at rest"),
+    ],
+)
+def test_a_slip_is_put_where_it_is(runs, memory, begins, rests, holdout, earliest, latest) -> None:
+    at = np.arange(runs * SAMPLES)
+    sensed = np.sin(0.07 * at)[None] * (at // SAMPLES != rests)
     for seed in range(10):
-        x = noise(np.random.default_rng(seed), 3.0)[:, :n] + 2.0 * sensed * (np.arange(n) >= when)
-        (found,) = instants(replace(table(x), sensed=sensed), holdout={2, 5}, slow=6.0)
-        assert found == (0, pytest.approx(0.01 * when, abs=0.6))
-
-
-def test_what_the_fitted_runs_leave_open_a_held_out_one_decides() -> None:
-    """Run 7 rests and shows no gain: the slip is before or after it, and run 8, which is held out, has it."""
-    n = RUNS * SAMPLES
-    sensed = np.sin(0.07 * np.arange(n))[None] * (np.arange(n) // SAMPLES != 7)
-    for seed in range(10):
-        x = noise(np.random.default_rng(seed), 3.0) + 2.0 * sensed * (np.arange(n) >= 8 * SAMPLES)
-        (found,) = instants(replace(table(x), sensed=sensed), holdout={8}, slow=6.0)
-        assert 0.07 * SAMPLES - 1e-9 <= found[1] <= 0.08 * SAMPLES + 1e-9
+        x = noise(np.random.default_rng(seed), memory)[:, : len(at)] + 2.0 * sensed * (at >= begins)
+        # noise of a memory: a slow average of white noise varies twice that many times less
+        ((channel, instant_s),) = instants(replace(table(x), sensed=sensed), holdout, slow=2 * memory)
+        assert channel == 0
+        assert 0.01 * earliest - 1e-9 <= instant_s <= 0.01 * latest + 1e-9
 
 
 def slipped(run: int, *, gain: float) -> tuple[Log, float]:

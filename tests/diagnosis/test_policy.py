@@ -175,16 +175,6 @@ def test_smaller_findings_are_certain_and_below_the_threshold():
 # -- what is independent, and what its tails are like --------------------------------------------------------
 
 
-def test_noise_with_heavy_tails_has_no_spectrum_to_go_by(monkeypatch):
-    white = np.random.default_rng(0).standard_normal((60, 2, 500))
-    made = [SimpleNamespace(used=np.ones(500, bool), residual=run) for run in white]
-    monkeypatch.setattr(sys.modules["hallsym.diagnosis.survey"], "pieces", lambda *_: made)
-    base = SimpleNamespace(policy=POLICY)
-    assert 1.0 <= spectrum_peak(base, ()) < 1.3  # of 20 lags, and of 120 numbers of one period a run
-    base.policy = replace(POLICY, heavy=2.9)
-    assert spectrum_peak(base, ()) == np.inf
-
-
 def test_noise_that_lasts_for_a_run_has_a_spectrum_of_its_own_there(monkeypatch):
     """First order with a memory of a run, a fifth of the power: few lags see little of it beside offsets."""
     rng, n = np.random.default_rng(1), 500

@@ -3,54 +3,37 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from log_samples import one_sentence, stage_arrays
+from log_samples import STAGE, one_sentence, stage_arrays
+from mistakes import Arrays, Make, by, hold, keep, of_run, pasted, put
 
 from hallsym.errors import InputError
 from hallsym.families.recording import corrected, read_correction
 from hallsym.log import Fault, Log, check_log, clean_log, read_log, usable, write_log
 
-Arrays = dict[str, np.ndarray]
-Change = Callable[[Arrays], object]
 
-
-def broken(change: Change) -> Log:
+def broken(change: Make) -> Log:
     arrays = stage_arrays()
-    change(arrays)
-    return Log.from_arrays(arrays, name="bench.csv")
+    return Log.from_arrays(change(arrays) or arrays, name="bench.csv")
 
 
-def put(column: str, rows: object, value: object) -> Change:
-    def change(arrays: Arrays) -> None:
-        arrays[column][rows] = value  # type: ignore[index]
-
-    return change
+def without(rows: Iterable[int]) -> Make:
+    return keep(lambda arrays: np.delete(np.arange(1600), list(rows)))
 
 
-def remove(rows: object) -> Change:
-    def change(arrays: Arrays) -> None:
-        for name in arrays:
-            arrays[name] = np.delete(arrays[name], rows)  # type: ignore[arg-type]
-
-    return change
-
-
-def scale(column: str, factor: float) -> Change:
-    return lambda arrays: arrays.update({column: arrays[column] * factor})
-
-
-REFUSED: list[tuple[Change, str, int]] = [
+COLUMNS = tuple(column for column in STAGE if column not in ("run", "t_s"))
+REFUSED: list[tuple[Make, str, int]] = [
     (put("hall_a_m", [450, 900], np.nan), r"hall_a_m .* 2 of 1600 .* row 451 \(run 1\)", 1598),
     (put("t_s", 10, 0.001), r"t_s .* runs backwards 1 times, first in row 11 \(run 0\)", 1599),
 ]
 
 
 @pytest.mark.parametrize(("change", "says", "left"), REFUSED, ids=["NaN", "time"])
-def test_what_cannot_be_read_is_refused_then_dropped(change: Change, says: str, left: int) -> None:
+def test_what_cannot_be_read_is_refused_then_dropped(change: Make, says: str, left: int) -> None:
     log = broken(change)
     required = tuple(log.columns)
     with pytest.raises(InputError, match=says) as caught:
@@ -67,17 +50,7 @@ def test_what_cannot_be_read_is_refused_then_dropped(change: Change, says: str, 
     assert not any("left out" in note for note in clean_log(kept, required).notes[len(kept.notes) :])
 
 
-def freeze(arrays: Arrays) -> None:
-    arrays["x_ref_m"][500:530] = arrays["x_ref_m"][500]
-
-
-def paste(arrays: Arrays) -> None:
-    for name in arrays:
-        if name not in ("run", "t_s"):
-            arrays[name][800:1200] = arrays[name][:400]
-
-
-CLAIMED: list[tuple[Change, str, str, str | None, int]] = [
+CLAIMED: list[tuple[Make, str, str, str | None, int]] = [
     (
         put("hall_b_m", slice(800, 1200), 1e-4),
         r"hall_b_m .* up to 400 samples .* row 801, run 2",
@@ -92,22 +65,28 @@ CLAIMED: list[tuple[Change, str, str, str | None, int]] = [
         None,
         1600,
     ),
-    (scale("t_s", 1e6), r"t_s .* has a usual step of 2000 s; if that is 2000 ms", "clock_unit", None, 1600),
+    (by(1e6, "t_s"), r"t_s .* has a usual step of 2000 s; if that is 2000 ms", "clock_unit", None, 1600),
     (
-        scale("x_ref_m", 1e9),
+        by(1e9, "x_ref_m"),
         r"x_ref_m covers 1e\+06 m in 0.798 s.*check the units of x_ref_m and t_s",
         "clock_unit",
         None,
         1600,
     ),
-    (freeze, r"x_ref_m .* up to 30 .* row 501, run 1", "stuck", "stuck x_ref_m 100 130 in 1", 1570),
-    (paste, r"the same samples in runs 0 and 2", "copied_run", "copied_run in 2", 1200),
+    (
+        hold(("x_ref_m",), of_run(1, 100, 130)),
+        r"x_ref_m .* up to 30 .* row 501, run 1",
+        "stuck",
+        "stuck x_ref_m 100 130 in 1",
+        1570,
+    ),
+    (pasted(COLUMNS, 0, 2), r"the same samples in runs 0 and 2", "copied_run", "copied_run in 2", 1200),
 ]
 
 
 @pytest.mark.parametrize(("change", "says", "name", "correction", "left"), CLAIMED)
 def test_what_is_odd_is_a_claim_and_accepted_it_keeps_its_samples(
-    change: Change, says: str, name: str, correction: str | None, left: int
+    change: Make, says: str, name: str, correction: str | None, left: int
 ) -> None:
     """`left`: samples without those that the claim calls bad; its correction leaves as many."""
     log = broken(change)
@@ -128,13 +107,13 @@ def test_what_is_odd_is_a_claim_and_accepted_it_keeps_its_samples(
         assert corrected(log, [read_correction(correction)]).rows == left
 
 
-REMARKS: list[tuple[Change, str]] = [
-    (remove([100, 101, 700]), r"t_s .* misses 3 ticks \(0.19%\), first after 0.198 s in row 101 \(run 0\)"),
+REMARKS: list[tuple[Make, str]] = [
+    (without([100, 101, 700]), r"t_s .* misses 3 ticks \(0.19%\), first after 0.198 s in row 101 \(run 0\)"),
     (
-        remove(np.arange(200, 300)),
+        without(range(200, 300)),
         r"t_s .* misses 100 ticks .* first after 0.398 s in row 201 \(run 0\), a step of 0.202 s",
     ),
-    (remove(np.arange(400, 795)), r"Run 1 of .* has 5 samples where the usual run has 400"),
+    (without(range(400, 795)), r"Run 1 of .* has 5 samples where the usual run has 400"),
     (
         lambda a: a.update(temperature_degc=np.full(1600, np.nan)),
         "temperature_degc .* no finite value and is not used",
@@ -143,14 +122,14 @@ REMARKS: list[tuple[Change, str]] = [
 
 
 @pytest.mark.parametrize(("change", "says"), REMARKS)
-def test_what_harms_nothing_is_a_remark(change: Change, says: str) -> None:
+def test_what_harms_nothing_is_a_remark(change: Make, says: str) -> None:
     (note,) = check_log(broken(change))
     assert re.search(says, note)
     assert not isinstance(note, Fault)
     assert usable(broken(change))[0].rows == broken(change).rows
 
 
-def quantise(column: str, step: float) -> Change:
+def quantise(column: str, step: float) -> Make:
     return lambda arrays: arrays.update({column: step * np.round(arrays[column] / step)})
 
 
@@ -169,7 +148,7 @@ def single_axis_without_noise(arrays: Arrays) -> None:
         arrays[name] = np.where(arrays["run"] < 2, arrays[name], 0.0)
 
 
-SILENT: list[Change] = [
+SILENT: list[Make] = [
     lambda arrays: None,
     quantise("hall_a_m", 2e-5),
     quantise("hall_a_m", 1e-4),
@@ -185,7 +164,7 @@ SILENT: list[Change] = [
 
 
 @pytest.mark.parametrize("change", SILENT)
-def test_healthy_logs_pass_silently(change: Change) -> None:
+def test_healthy_logs_pass_silently(change: Make) -> None:
     assert check_log(broken(change)) == []
 
 
