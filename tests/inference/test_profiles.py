@@ -35,6 +35,15 @@ def paper() -> tuple[Cost, np.ndarray, Determination, Uncertainty]:
     return solved(11)
 
 
+def bounded(stds: float):
+    """The paper's log with an upper bound of eta_B so many standard uncertainties beyond its optimum."""
+    _, p, _, e = paper()
+    k = MODEL.names.index("eta_B")
+    upper = p[k] + stds * e.std[k]
+    tight = MODEL.with_parameters({"eta_B": {"nominal": min(p[k], upper) - 1e-3, "upper": upper}})
+    return tight, upper, e.std[k], *solved(11, model=tight)
+
+
 @cache
 def noisy() -> tuple[Cost, np.ndarray, Determination, Uncertainty]:
     """60 times the noise, a third of the motion: intervals are lopsided."""
@@ -85,11 +94,7 @@ def test_scale_sets_the_threshold():
 
 
 def test_a_bound_before_the_threshold_ends_the_profile():
-    _, p, found, e = paper()
-    k = MODEL.names.index("eta_B")
-    upper = p[k] + e.std[k]
-    tight = MODEL.with_parameters({"eta_B": {"nominal": p[k] - 1e-3, "upper": upper}})
-    cost, q, found, _ = solved(11, model=tight)
+    tight, upper, _, cost, q, found, _ = bounded(1.0)
     got = profile(cost, q, parameter(tight, "eta_B"), found=found)
     assert (got.lower.status, got.upper.status) == ("reached", "at bound")
     assert got.upper.value == upper
@@ -99,17 +104,13 @@ def test_a_bound_before_the_threshold_ends_the_profile():
 
 def test_a_parameter_at_its_bound_has_one_side():
     """The side that the likelihood has inside: its end rises by the threshold above the bounded optimum."""
-    _, p, found, e = paper()
-    k = MODEL.names.index("eta_B")
-    upper = p[k] - 2 * e.std[k]
-    tight = MODEL.with_parameters({"eta_B": {"nominal": upper - 1e-3, "upper": upper}})
-    cost, q, found, said = solved(11, model=tight)
+    tight, upper, std, cost, q, found, said = bounded(-2.0)
     assert said.at_bound == ("eta_B",)
     got = profile(cost, q, parameter(tight, "eta_B"), found=found)
     assert (got.lower.status, got.upper.status) == ("reached", "at bound")
     assert got.upper.value == upper
     # (d + 2)^2 - 2^2 = 3.84 in standard uncertainties
-    assert upper - got.lower.value == pytest.approx((np.sqrt(4 + THRESHOLD) - 2) * e.std[k], rel=0.01)
+    assert upper - got.lower.value == pytest.approx((np.sqrt(4 + THRESHOLD) - 2) * std, rel=0.01)
     # with that parameter pinned another one is not bounded, and its profile may leave the bound
     other = profile(cost, q, parameter(tight, "a_A"), found=found)
     assert other.ok
@@ -183,10 +184,8 @@ def test_skewness_says_where_a_profile_is_needed():
 
 
 def test_near_a_bound_the_normal_interval_will_not_do():
-    _, p, _, e = paper()
+    tight, _, _, cost, q, found, said = bounded(1.0)
     k = MODEL.names.index("eta_B")
-    tight = MODEL.with_parameters({"eta_B": {"nominal": p[k] - 1e-3, "upper": p[k] + e.std[k]}})
-    cost, q, found, said = solved(11, model=tight)
     quick = skewness(cost, q, parameter(tight, "eta_B"), found=found, std=said.std[k])
     assert not np.isfinite(quick[1])
     assert not normal_enough(quick)
