@@ -10,8 +10,9 @@ from twins import COLUMNS, SIGMAS, TRUTH, phi, pm, with_noise
 
 from hallsym.errors import InputError
 from hallsym.estimation.factors import summarise
-from hallsym.estimation.identifiable import scales
+from hallsym.estimation.identifiable import determine, scales
 from hallsym.estimation.likelihood import cost_of
+from hallsym.estimation.optimum import refit
 from hallsym.experiment import CRITERIA, paper_ranges, plan
 from hallsym.experiment.ranges import candidates
 from hallsym.experiment.study import planned_cost
@@ -296,3 +297,27 @@ def test_minutes_hold_the_runs_and_the_resets_between_them():
 
 
 # -- what is promised holds ------------------------------------------------------------------------------
+
+
+def scatter(campaign: Campaign, seeds: int, gradients: np.ndarray) -> np.ndarray:
+    """Standard deviation of the fitted quantities over simulated recordings of a campaign."""
+    p, found = MODEL.vector(TRUTH), []
+    for seed in range(seeds):
+        cost = cost_of(summarise(recorded(campaign, seed), MODEL), SIGMAS)
+        held = determine(cost, p).fixed
+        found.append(refit(cost, p, held))
+    return np.std(np.array(found) @ gradients.T, axis=0, ddof=1)
+
+
+@pytest.mark.slow
+def test_refits_of_simulated_recordings_scatter_as_planned(planned):
+    """Both campaigns: std, and their ratio, within 4 sigma of a standard deviation from 200 fits."""
+    seeds = 200
+    slack = 4 / np.sqrt(2 * (seeds - 1))
+    gradients, other = planned.study.gradients, planned.study.std(of_table_6(planned.study))
+    a = scatter(planned.campaign, seeds, gradients)
+    b = scatter(TABLE6, seeds, gradients)
+    assert np.all(np.abs(a / planned.std - 1) < slack)
+    assert np.all(np.abs(b / other - 1) < slack)
+    assert np.all(np.abs(b / a * planned.std / other - 1) < np.sqrt(2) * slack)
+    assert np.median(b / a) > 2

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import settings as effort
 from hypothesis import strategies as st
-from twins import phi, pm, record, with_arrays, with_noise
+from twins import HALL, SIGMAS, phi, pm, record, true_model, white, with_arrays, with_noise
 
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, fit
@@ -180,3 +180,37 @@ def test_notes_say_what_the_budget_does_not_hold():
 
 
 # -- against recalibrations ------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_recalibrated_machines_scatter_as_stated():
+    """Fit 200 simulated campaigns; each time zero, read with noise, decode; the error has the stated u.
+
+    The variance ratio of 200 samples lies within 0.70 and 1.36 for 99.9 % of all such experiments (chi2).
+    """
+    from scipy.stats import chi2
+
+    n, model = 200, true_model()
+    truth = model.nominal
+    settings = Settings(averaged=4, zero_averaged=20, zero_pose_std=dict.fromkeys(POSE, 5e-8), zero_at={})
+    (q, s), values = columns(SOMEWHERE), dict(zip(model.names, truth, strict=True))
+    m_true, errors, stated = phi(values, s) * (pm(values) @ q), [], []
+    fits_only, fit_stated = [], []
+    for seed in range(n):
+        rng = np.random.default_rng(10_000 + seed)
+        known = fit(with_noise(white(seed)), model, solver="direct", loss="none")
+        found = dict(zip(model.names, known.values, strict=True))
+        hall, vertical = np.array([SIGMAS[c] for c in HALL]), np.array([SIGMAS[c] for c in STATE])
+        m = m_true + rng.normal(0, hall / 2)
+        m0 = rng.normal(0, hall / np.sqrt(20))
+        state, s0 = s + rng.normal(0, vertical / 2), rng.normal(0, vertical / np.sqrt(20))
+        q0 = rng.normal(0, 5e-8, 3)  # the zeroing is believed to be at 0 and is at -q0
+        errors.append(paper_position(found, m, state, m0, s0, q0) - q)
+        fits_only.append(paper_position(found, m_true, s, np.zeros(3), np.zeros(3), np.zeros(3)) - q)
+        budgets = position_budget(known, SOMEWHERE, settings).values()
+        stated.append([b.std for b in budgets])
+        fit_stated.append([b.sources[0].std for b in budgets])
+    low, high = chi2.ppf([0.0005, 0.9995], n) / n
+    for what, said in ((errors, stated), (fits_only, fit_stated)):
+        ratio = np.mean(np.square(what), axis=0) / np.mean(np.square(said), axis=0)
+        assert np.all((low < ratio) & (ratio < high)), ratio
