@@ -19,9 +19,6 @@ from hallsym.families.halbach.models import halbach
 from hallsym.log import Fault
 from hallsym.model import on_arrays
 
-GAIN = 4.0
-"""V/T."""
-
 
 def single():
     """The thesis's pinwheel with each of its 72 sensors as a channel."""
@@ -39,13 +36,6 @@ def drawn(rng, count, tilt=0.01, low=4.5e-3, high=8.5e-3, stroke=0.0125):
     out[:, 2] = rng.uniform(low, high, count)
     out[:, 3:] = rng.uniform(-tilt, tilt, (count, 3))
     return out
-
-
-def plant(layout, poses):
-    """Readings (K, n) [V] of finite cuboid arrays."""
-    parts = [m for a in arrays(layout).values() for m in magnets(a.axis, a.centre, a.length_m, a.width_m)]
-    elements = np.array([s.positions[0] for s in sensors(layout)])
-    return GAIN * readings(parts, elements, poses)
 
 
 def log_of(model, poses, v, sigma=3e-3):
