@@ -789,7 +789,62 @@ def json_channels(file: Path, columns: Columns) -> None:
     file.write_text(json.dumps({"header": {"sampleRate": 200}, "channels": channels}))
 
 
+def scope_structure(file: Path, columns: Columns) -> None:
+    """Simulink's structure with time: a struct for each signal, with its label and values."""
+    from scipy.io import savemat
+
+    time = columns.pop("time_s")
+    signals = [{"label": name, "values": x[:, None], "plotStyle": [0.0, 0.0]} for name, x in columns.items()]
+    savemat(file, {"ScopeData": {"time": time[:, None], "signals": signals}})
+
+
+def stamped(path: Path, data: Columns) -> Written:
+    """Messages of ROS as text: whole seconds and nanoseconds, fields of fields, elements of arrays."""
+    seconds = np.floor(data["t_s"])
+    columns = {
+        "header.stamp.sec": 1.8e9 + seconds,
+        "header.stamp.nanosec": np.round(1e9 * (data["t_s"] - seconds)),
+    }
+    columns |= {f"hall[{k}]": within(data[c], "um") for k, c in enumerate(HALLS)}
+    fields = ("pose.z", "pose.roll", "pose.pitch", "laser.x", "laser.y", "laser.yaw")
+    names = dict(zip((*VERTICAL, *LASER), fields, strict=True))
+    text(number="{:.12g}".format)(path / "bag.csv", {**columns, **{n: data[c] for c, n in names.items()}})
+    known = {"t_s": Known("header.stamp", "s")} | {c: Known(f"hall {k}", "um") for k, c in enumerate(HALLS)}
+    return Written([str(path / "bag.csv")], known | {c: Known(n) for c, n in names.items()}, {
+        c: x for c, x in data.items() if c != "run"})  # fmt: skip
+
+
+def line_protocol(file: Path, columns: Columns) -> None:
+    """Lines of InfluxDB: a name and tags, fields, the moment in nanoseconds."""
+    run, t = columns.pop("Run"), columns.pop("(column 13)")
+    fields = [",".join(f"{n}={usual(x[k])}" for n, x in columns.items()) for k in range(len(t))]
+    moments = 18 * 10**17 + np.round(1e9 * (100 * run + t)).astype(np.int64)
+    lines = [f"stage,rig=R4,run={run[k]:.0f} {fields[k]} {moments[k]}" for k in range(len(t))]
+    file.write_text("\n".join([*lines, ""]))
+
+
+def transposed(file: Path, columns: Columns) -> None:
+    """A channel in each line: its name, its unit, its samples."""
+    file.write_text(
+        "\n".join(",".join([name, unit or "-", *map(usual, x)]) for name, unit, x in named(columns))
+    )
+
+
+def words_above_names(file: Path, columns: Columns) -> None:
+    """Columns of pandas with several levels: what it is of, its name, its unit."""
+    levels = [(*(name.split() if " " in name else ("log", name)), unit) for name, unit, _ in named(columns)]
+    head = "\n".join(map(",".join, zip(*levels, strict=True)))
+    text(head=lambda _: head)(file, columns)
+
+
 FILES: dict[str, LabFile] = {
+    "a struct for each signal": LabFile(one_run(saved("scope.mat", scope_structure, SNAKE, UNDER | {
+        "t_s": "time"}, UNIT | {"t_s": "s"}))),
+    "stamps of ROS": LabFile(one_run(stamped)),
+    "line protocol": LabFile(saved("influx.txt", line_protocol, SNAKE, UNDER | {"t_s": "(column 13)"},
+                                   UNIT | {"t_s": ""})),
+    "a channel in each line": LabFile(saved("rows.csv", transposed, ASIDE)),
+    "words above names": LabFile(saved("levels.csv", words_above_names, ASIDE)),
     "no units": LabFile(saved("plain.csv", text(), "{name}", units={**UNIT, "t_s": "s"})),
     "line breaks in names": LabFile(saved("quoted.csv", text(", "), '"{name}\n[{unit}]"')),
     "blocks of gnuplot": LabFile(gnuplot_blocks),

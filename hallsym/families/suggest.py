@@ -9,6 +9,7 @@ import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -53,6 +54,7 @@ _FURTHER = 0.05
 """What each further word takes."""
 
 
+@cache
 def words_of(name: str, *, unit: bool = False) -> frozenset[str]:
     """Return the words of a name in ours: "IFM_X" -> {"ref", "x"}. `unit`: its last word may be one.
 
@@ -142,6 +144,8 @@ MOVES = 0.9
 """Correlation from which a column moves as another one does: the other axes and the noise make the rest."""
 BITS = range(6, 25)
 """Bits of an encoder's turn that are tried."""
+MOST_COLUMNS = 100
+"""Columns of a file of which each is tried as the reference, and readings of a model by their number."""
 TRIED = 2000
 """Samples with which references are tried: a share of variance is known to 3 %."""
 PLACES = 24
@@ -149,6 +153,8 @@ PLACES = 24
 NEAR = 3.0
 """Ratio of sizes up to which a unit fits: gains and nominal values are not exact."""
 OTHERS = ("temperature", "current", "speed")
+MOMENTS = 1e9
+"""Whole numbers from which times count from 1970: in s this century, in shorter units any in use."""
 CLOCKS_HZ = (1.0, 2e4)
 """Rates that loggers of positions record at: a time whose ticks could be ms or s is asked about."""
 MOTIONS = {"m": ("m", "mm", "um", "nm"), "rad": ("rad", "deg", "mrad", "urad", "nrad")}
@@ -376,6 +382,7 @@ def _models(source: Source, data: Mapping[str, Array], name: str | None, meta: M
     """
     own = tuple(si_name(n) for n in source.names if _own(n))
     sets = series_of(n for n in data if not _behaves(RUN, data[n]))
+    sets = [each for each in sets if len(each) <= MOST_COLUMNS]
     kinds = [{UNITS[u].si for n in each if (u := _stated(source, n))} for each in sets]
     stated, found = name or meta.base_model, list[Model]()
     for default in [stated] if stated else [family.default for family in FAMILIES]:
@@ -424,8 +431,9 @@ def _matched(source: Source, data: Mapping[str, Array], model: Model) -> list[tu
                 pairs.append((like if fits else like / 2, stem, name))
             by_unit = not words_of(name, unit=True) and _stated(source, name) and stem not in (RUN, TIME)
             by_unit = by_unit or (stem == TIME and _stated(source, name) == name.lower())
-            # an index is no time
-            by_data = stem == RUN or (stem == TIME and (not _whole(values) or bool(_stated(source, name))))
+            # an index is no time, moments since 1970 are one
+            index = _whole(values) and values[0] < MOMENTS and not _stated(source, name)
+            by_data = stem == RUN or (stem == TIME and not index)
             if fits and (by_unit or by_data):
                 pairs.append((BARE / 2, stem, name))
     return _likeliest(pair for pair in pairs if pair[0] > 0)
@@ -608,6 +616,8 @@ def _by_readings(
     mine = [g for g in named if g not in known]
     if not angle or not _goes_round(angle) or (mine and not (mine[0].open or mine[0].counts_per_turn)):
         return list(named)
+    if len(data) > MOST_COLUMNS and not mine:
+        return list(named)
     free = [n for n in data if n not in {g.theirs for g in named} and not _own(n) and np.ptp(data[n]) > 0]
     free = [n for n in free if _unit_fits(source, n, stem, model) and not _behaves(RUN, data[n])]
     followed = []
@@ -617,8 +627,10 @@ def _by_readings(
             tried = [replace(guess, counts_per_turn=1 << bits) for bits in BITS]
         else:
             tried = [replace(guess, units=(u.name,), raw="") for u in UNITS.values() if u.si == "rad"]
-        others = [x for name, x in few.items() if name != guess.theirs and np.ptp(x) > 0]
-        for one in tried:
+        others = [
+            x for name, x in few.items() if name != guess.theirs and np.isfinite(x).all() and np.ptp(x) > 0
+        ]
+        for one in tried if len(others) >= len(model.channels) else ():
             if np.ptp(_si(data[one.theirs], one)) >= np.pi:
                 why = guess.why.partition(";")[0] if mine else "its data"
                 said = replace(one, why=f"{why}; the readings follow it in this unit")
@@ -629,18 +641,17 @@ def _by_readings(
 
 
 def _left_over(expected: Mapping[str, Array], columns: Sequence[Array]) -> float:
-    """Return the share of variance that is no combination of what is expected of readings, in [0, 1].
+    """Return the share of variance of finite columns that is no combination of what readings should be.
 
-    It is the largest of as many columns as there are readings, those of which least is left.
+    It is the largest of as many columns as there are readings, those of which least is left, in [0, 1].
     """
     rows = np.isfinite(list(expected.values())).all(axis=0)
     basis = np.column_stack([np.ones(rows.sum()), *(e[rows] for e in expected.values())])
-    shares = []
-    for own in (values[rows] for values in columns):
-        if np.isfinite(own).all() and np.ptp(own) > 0:
-            left = own - basis @ np.linalg.lstsq(basis, own, rcond=None)[0]
-            shares.append(float(np.var(left) / np.var(own)))
-    return sorted(shares)[len(expected) - 1] if len(shares) >= len(expected) else 1.0
+    own = np.column_stack([values[rows] for values in columns])
+    own = own[:, np.ptp(own, axis=0) > 0]
+    left = own - basis @ np.linalg.lstsq(basis, own, rcond=None)[0]
+    shares = np.sort(np.var(left, axis=0) / np.var(own, axis=0))
+    return float(shares[len(expected) - 1]) if len(shares) >= len(expected) else 1.0
 
 
 def _si(values: Array, guess: Guess) -> Array:

@@ -507,7 +507,7 @@ def split_header(text: str) -> tuple[str, str | None]:
     match = _BRACKETS.fullmatch(text)
     if match and match[1]:
         unit = unit_of(match[2])
-        if unit or match[2].lower() in NO_UNIT:
+        if unit or (match[2].lower() in NO_UNIT and not text.endswith(f"{match[1]}[1]")):  # an index
             return match[1], unit
         return text, None
     for pattern in _BEHIND:

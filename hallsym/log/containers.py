@@ -12,6 +12,8 @@ from contextlib import closing
 from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
+
 from hallsym.errors import InputError, nearest, quoted
 from hallsym.log.arrow import source_of
 from hallsym.log.columns import listed
@@ -35,7 +37,7 @@ def one_of(where: str, kind: str, tables: Mapping[str, Source], chosen: str | No
     filled = {
         name: source
         for name, source in tables.items()
-        if any(is_number(cell) for row in source.head(_FEW, 100) for cell in row)
+        if np.mean([is_number(cell) for row in source.head(_FEW, 100) for cell in row] or [0]) > 0.5
     } or tables
     if not filled:
         raise InputError(f"{where} is empty: it must hold a row of column names and one row per sample.")
@@ -59,7 +61,7 @@ def one_of(where: str, kind: str, tables: Mapping[str, Source], chosen: str | No
 
 
 _FEW = 5
-"""Rows that are looked at for numbers."""
+"""Rows that are looked at for numbers, which most cells of a log are."""
 
 
 def open_sqlite(path: Path, sheet: str | None = None) -> Source:

@@ -40,10 +40,11 @@ class CsvSource(Timed):
         sheet: str = "",
     ) -> None:
         self.path, self.where = path, quoted(path)
-        self.text = Encoded(path if data is None else data)
-        self.dialect = dialect = sniffed(self.text, self.where, delimiter, decimal, sheet)
+        text = Encoded(path if data is None else data)
+        self.dialect = dialect = sniffed(text, self.where, delimiter, decimal, sheet)
+        self.text = dialect.text
         self.take(dialect.stems, dialect.times, self.where)
-        bytes_read = path.stat().st_size * (COMPRESSED if self.text.compressed else 1)
+        bytes_read = path.stat().st_size * (COMPRESSED if text.compressed else 1)
         self.small = data is not None or bytes_read <= IN_MEMORY_BYTES
         self.recognised, self.pace = dialect.said, pace_in(dialect.facts)
         odd = [] if dialect.usual else [f"{self.where} is read as {self.recognised}."]

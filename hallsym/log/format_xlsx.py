@@ -36,9 +36,9 @@ def _rows(book: Any, name: str) -> list[list[Any]]:
     sheet = book.get_sheet_by_name(name)
     rows: Iterator[list[Any]] = sheet.iter_rows()
     found = list(rows)
-    for (top, left), (bottom, _) in sheet.merged_cell_ranges or ():
-        for row in found[top + 1 : bottom + 1]:  # a run's number beside all of its rows
-            row[left] = found[top][left]
+    for (top, left), (bottom, right) in sheet.merged_cell_ranges or ():
+        for row in found[top : bottom + 1]:  # a run's number beside its rows, a word above its columns
+            row[left : right + 1] = [found[top][left]] * len(row[left : right + 1])
     return found if any(cell != "" for row in found for cell in row) else []
 
 

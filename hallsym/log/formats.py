@@ -40,6 +40,7 @@ from hallsym.log.groups import Group, GroupedSource
 from hallsym.log.isolated import Isolated
 from hallsym.log.maker_tables import open_table
 from hallsym.log.meta import Meta, Noise, check_noise_keys
+from hallsym.log.pace import stamped
 from hallsym.log.parted import by_clock, by_rows, by_signal, paced, side_by_side
 from hallsym.log.quality.check import clean_log
 from hallsym.log.table import Source, Table, about
@@ -329,7 +330,7 @@ def _open(file: Path, format: str | None, stated: Mapping[str, str | None]) -> S
     for parted in (
         side_by_side,
         by_signal,
-        *(() if "clock" in entry.options else (by_clock, by_rows, paced)),
+        *(() if "clock" in entry.options else (stamped, by_clock, by_rows, paced)),
     ):
         found = parted(source, quoted(file)) if found is source else found
     found.read_with = {**({"format": format} if format else {}), **options}

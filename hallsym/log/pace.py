@@ -73,8 +73,6 @@ class Paced(Source):
         self.source, self.pace, self.time = source, pace, name
         self.names = (name, *(own for own in source.names if own not in without))
         self.units, self.since, self.clocks = {**source.units, name: "s"}, "zero", {name: pace}
-        if hasattr(source, "rows"):
-            self.ends = pace.start, pace.start + pace.step * (source.rows - 1)
 
     def count(self) -> int:
         """Return the number of rows."""
@@ -92,3 +90,40 @@ class Paced(Source):
             time = self.pace.start + self.pace.step * np.arange(row, row + rows)
             yield {name: time if name == self.time else piece[name] for name in names}
             row += rows
+
+
+_STAMP = re.compile(r"(.*?)[\W_]*?(?:(s|secs?|seconds?)|(n(?:ano)?s(?:ecs?|econds?)?))", re.I)
+"""A part of a stamp of ROS: `header.stamp.sec` and `header.stamp.nanosec`."""
+
+
+class Stamped(Paced):
+    """A source whose times stand in two columns, whole seconds and nanoseconds, as one of seconds."""
+
+    def __init__(self, source: Source, second: str, rest: str, name: str) -> None:
+        """Take the columns of a source; those of the times are `second` and `rest`."""
+        super().__init__(source, Pace(0.0), name, without=(second, rest))
+        self.pace, self.clocks, self.parts = None, {}, (second, rest)
+
+    def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
+        """Yield consecutive chunks of at most about `size` rows."""
+        first = None
+        wanted = [name for name in names if name != self.time]
+        for piece in self.source.chunks([*wanted, *(self.parts if self.time in names else ())], size):
+            if self.time in names:
+                seconds, rest = (piece[name] for name in self.parts)
+                first = seconds[0] if first is None else first  # digits are for the time since then
+                piece = {**piece, self.time: (seconds - first) + 1e-9 * rest}
+            yield {name: piece[name] for name in names}
+
+
+def stamped(source: Source, where: str) -> Source:
+    """Return a table with one time for the two columns of a stamp; any other as it is."""
+    found: dict[str, dict[bool, str]] = {}
+    for name in source.names:
+        if match := _STAMP.fullmatch(name):
+            found.setdefault(match[1], {})[bool(match[3])] = name
+    pairs = [(stem, parts) for stem, parts in found.items() if len(parts) == 2]
+    if len(pairs) != 1 or len(source.numbers([*pairs[0][1].values()], 1)) < 2:
+        return source
+    stem, parts = pairs[0]
+    return Stamped(source, parts[False], parts[True], stem or "t")

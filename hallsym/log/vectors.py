@@ -140,6 +140,31 @@ def _texts(arrays: Mapping[str, Stored], opened: Opened) -> tuple[tuple[str, ...
         return tuple(words for array in short if (words := words_of(array.find(file, "")[()])))
 
 
+def _called(
+    vectors: Mapping[str, Vector], arrays: Mapping[str, Stored], by: str, opened: Opened
+) -> dict[str, Vector]:
+    """Return vectors that lie alone in a group beside their name and unit as words, by that name."""
+    said = defaultdict[str, dict[str, Any]](dict)
+    with opened() as file:
+        for path, array in arrays.items():
+            group, _, key = path.rpartition(by)
+            if group and math.prod(array.shape) == 1 and array.dtype.kind in "SUO":
+                said[group][key.lower()] = "".join(words_of(array.find(file, "")[()]))
+    longest = {group: max((v.rows for p, v in vectors.items() if p.rpartition(by)[0] == group), default=0)
+               for group in said}  # fmt: skip
+    found = dict[str, Vector]()
+    for path, vector in vectors.items():
+        group = path.rpartition(by)[0]
+        facts = said.get(group, {})
+        alone = sum(p.rpartition(by)[0] == group and v.rows == vector.rows for p, v in vectors.items()) == 1
+        if facts and alone and vector.rows == longest[group] > 1:
+            name = next((facts[key] for key in ("label", "name") if facts.get(key)), "")
+            path = by.join(filter(None, (group.rpartition(by)[0], name))) if name else path
+            vector = vector._replace(unit=vector.unit or unit_in(facts))
+        found[path] = vector
+    return found
+
+
 def unit_in(attributes: Mapping[str, object]) -> str | None:
     """Return the unit that the attributes of a vector state."""
     for key, value in attributes.items():
@@ -200,6 +225,7 @@ def arranged(
             columns, why = columns_of(f"{path}{by}{field}" if field else path, array, field, by)
             vectors |= columns
             left_out |= {path.rpartition(by)[2]: why} if why else {}
+    vectors = _called(vectors, arrays, by, opened)
     with opened() as file:
         scalars = {p: v.read(file, 0, 1)[0] for p, v in vectors.items() if v.rows == 1 and not v.moments}
     runs = runs_of([path.split(by) for path in vectors])

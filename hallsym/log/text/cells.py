@@ -107,8 +107,14 @@ _ENDS = r'(?=\s*(?:[;,\t|"\n]|$))'
 LABELS = Spelling(
     "names before numbers", re.compile(r"(?:(?<=[;,\t| ])|^)([^\W\d]\w*) ?[:=] ?(?=[-+.]?\d)", re.M), ""
 )
+MIXED = Spelling("blanks and commas between names", re.compile(r"(?<=[^\s,]) (?=\w+=|\d+$)", re.M), ",")
+"""A blank sets tags and fields apart, and the time behind them: `rig,run=3 hall_a=1.5,z=2i 1772400000`."""
+ARRIVED = Spelling("times of arrival before lines", re.compile(r"^\d+:\d+:\d+[.,]\d+ -> ?", re.M), "")
 SPELLINGS = (
+    ARRIVED,
+    MIXED,
     LABELS,
+    Spelling("whole numbers written with i", re.compile(r"(?<=\d)i(?=[\s,;]|$)", re.M), ""),
     Spelling("exponents written with D", re.compile(r"(?<=[\d.])[dD](?=[-+]?\d+(?:\W|$))"), "e"),
     Spelling(
         "hexadecimal numbers",
@@ -141,7 +147,8 @@ def labels_of(line: str) -> str:
     >>> labels_of("t_ms:10,sin:-0.5")
     't_ms,sin'
     """
-    return re.sub(rf"{LABELS.pattern.pattern}[-+.\w]+", r"\1", line, flags=re.M)
+    named = re.sub(rf"{LABELS.pattern.pattern}[-+.\w]+", r"\1", MIXED(line), flags=re.M)
+    return re.sub(r"(?<=,)\d+$", "", named)
 
 
 def unit_behind(cell: str) -> str | None:

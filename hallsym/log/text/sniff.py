@@ -10,8 +10,9 @@ import os
 import re
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +20,7 @@ from hallsym.errors import InputError
 from hallsym.log.arrow import time_form
 from hallsym.log.columns import split_header, stems_of, unit_of
 from hallsym.log.text.cells import (
+    ARRIVED,
     LABELS,
     MISSING,
     POINT,
@@ -31,6 +33,7 @@ from hallsym.log.text.cells import (
     spellings_of,
     unit_behind,
 )
+from hallsym.units import quantity, split_unit
 
 BLANKS = " "
 DELIMITERS = {"\t": "tab", ";": "semicolon", ",": "comma", "|": "bar", BLANKS: "blank"}
@@ -41,8 +44,9 @@ DELIMITERS = {"\t": "tab", ";": "semicolon", ",": "comma", "|": "bar", BLANKS: "
 class Dialect:
     """The recognised form of a text.
 
-    `delimiter`: " " stands for any number of blanks and tabs. `stems`: as `stems_of`, one by cell. `first`:
-    line the table begins at, from 1. `remarks`: whether lines of words stand between or after the rows.
+    `text`: its bytes; transposed where a line is a channel. `delimiter`: " " stands for any number of
+    blanks and tabs. `stems`: as `stems_of`, one by cell. `first`: line the table begins at, from 1.
+    `remarks`: whether lines of words stand between or after the rows.
     `quoted`: whether quotes stand around cells. `times`: columns of times as text, and how they are written
     (`time_form`). `torn`: whether the last line does not end. `spelled`: how numbers are written otherwise.
     `repeated`: the lines of names and units, which come again where files were put one behind another;
@@ -51,6 +55,7 @@ class Dialect:
     word.
     """
 
+    text: Encoded
     delimiter: str
     stems: dict[str, tuple[str, str | None]]
     first: int
@@ -173,9 +178,38 @@ class Split:
                 first += 1
             return max(names, key=self._as_names), first
         first = next((k for k, row in enumerate(self.rows) if row), -1)
-        if first < 0 or numeric[first] >= min(len(self.rows[first]), LOOKED_AT):
+        if first < 0 or self._is_data(*self.rows[first : first + 2]):
             return -1, 0
         return first, first + 1
+
+    @staticmethod
+    def _is_data(row: Sequence[str], below: Sequence[str] = ()) -> bool:
+        """Say whether a row holds numbers wherever the one below it does; those that count are names."""
+        here, under = ([*map(is_number, cells[:LOOKED_AT])] for cells in (row, below))
+        numbers = [cell for cell in row[:LOOKED_AT] if is_number(cell)]
+        counted = numbers in ([str(k + first) for k in range(len(numbers))] for first in (0, 1))
+        return all(here) or (any(here) and here == under and not counted)
+
+    @property
+    def groups(self) -> list[str]:
+        """What each name is one of, by a row above the names in which the same words stand side by side."""
+        row = self.rows[self.top - 1] if self.top > 0 else []
+        spans = [word for word, _ in groupby(row)]
+        several = len({*spans} - {""}) > 1 and len({*spans}) == len(spans) < len(row) == self.width
+        return [] if not several or any(map(is_number, row)) or is_unit_row(row) else row
+
+    def is_transposed(self, rows: Sequence[Sequence[str]]) -> bool:
+        """Say whether each row holds a channel: its name, perhaps its unit, then numbers, more than rows."""
+        first = rows[0] if rows and len(rows[0]) == self.width else []
+        words = next((k for k, cell in enumerate(first) if is_number(cell)), 0)
+        names = [row[0] for row in rows]
+        return (
+            0 < words < 3
+            and 1 < len(rows) == len({*names} - {""}) < self.width - words
+            and not time_form(names)
+            and all(len(row) == self.width and not any(map(is_number, row[:words])) for row in rows)
+            and all(is_number(cell) for row in rows for cell in row[words:LOOKED_AT])
+        )
 
     def _as_names(self, k: int) -> tuple[int, int, int]:
         """How well a line serves as names: different cells, those with a unit, its number."""
@@ -249,19 +283,29 @@ def sniffed(
         )
     spelled, written = spellings_of([line.text for line in lines]), lines
     for spelling, at in spelled.items():
+        at = 0 if spelling in (ARRIVED, LABELS) and spelling.pattern.search(lines[0].text) else at
         if spelling is LABELS:
-            at = 0 if spelling.pattern.search(lines[0].text) else at
             lines = written = [*lines[:at], lines[at]._replace(text=labels_of(lines[at].text)), *lines[at:]]
             at += 1
         lines = [*lines[:at], *(line._replace(text=spelling(line.text)) for line in lines[at:])]
     table = _table(lines[:MOST], delimiter, where)
-    if table.top < 0:
-        lines = _with_names(lines, table, where)
+    at = next((k for k, row in enumerate(table.rows) if any(map(is_number, row[:LOOKED_AT]))), 0)
+    if table.is_transposed(table.rows[at:]):
+        rows = [split(line, table.delimiter) for line in text.lines(where) if line.strip()][at:]
+        if table.is_transposed(rows):
+            above = [line.text for line in lines[:at]]
+            turned = "\n".join([*above, *map("\t".join, zip(*rows, strict=True)), ""])
+            found = sniffed(Encoded(turned.encode()), f"{where}, transposed", "\t", decimal, sheet)
+            return replace(found, said=f"a channel in each line, transposed: {found.said}", usual=False)
+    if table.top < 0 or abs(len(table.names) - table.width) > 1:
+        lines = _with_names(lines, table)
         written, table = lines, _table(lines[:MOST], table.delimiter, where)
     first, units_line, units = table.units(lines)
     if not units and first < len(lines):
         units = [unit_behind(cell) or "" for cell in split(written[first].text, table.delimiter)]
     names = [*table.names, *[""] * (table.width - len(table.names) == 1 and table.trailing)]
+    for k, group in enumerate(table.groups):
+        names[k] = f"{group} {names[k]}" if group and not quantity(split_unit(names[k])[0]) else names[k]
     stems = stems_of(names, list(map(unit_of, units)), where)
     header, repeated = lines[table.top].number, frozenset(line.text for line in lines[table.top : first])
     heads = frozenset(row[0] for row in table.rows[: table.top] if row) - {*names}
@@ -292,9 +336,10 @@ def sniffed(
         said.append(f"lines of words among the numbers left out ({remarks[0][:40]!r})")
     plain = text.encoding == "utf-8" and numbers == POINT and table.delimiter in ",\t"
     return Dialect(
-        table.delimiter, stems, below[0].number if below else lines[-1].number + 1, numbers, marks, quoted,
-        bool(remarks), not text.end.endswith("\n") and text.end.strip().rpartition("\n")[2] not in remarks,
-        _times(body), tuple(spelled), repeated, heads, _facts(lines[: table.top]),
+        text, table.delimiter, stems, below[0].number if below else lines[-1].number + 1, numbers, marks,
+        quoted, bool(remarks),
+        not text.end.endswith("\n") and text.end.strip().rpartition("\n")[2] not in remarks,
+        _times(body), tuple(spelled), repeated, heads, _facts(lines[:first]),
         ", ".join(said), usual=plain and not (units_line or remarks or above or spelled),
     )  # fmt: skip
 
@@ -343,18 +388,20 @@ def _table(lines: Sequence[Line], delimiter: str | None, where: str) -> Split:
     return table
 
 
-def _with_names(lines: Sequence[Line], table: Split, where: str) -> list[Line]:
-    """Return lines of numbers below one of names that stand in a line each: `# NAME0 = Hall A (um)`."""
-    at = next(k for k, line in enumerate(lines) if not line.comment)
+def _with_names(lines: Sequence[Line], table: Split) -> list[Line]:
+    """Return lines of numbers below one of names that stand in a line each: `# NAME0 = Hall A (um)`.
+
+    Numbers below no names at all are `column_0` to `column_k`.
+    """
+    at = next(k for k, line in enumerate(lines) if not line.comment) if table.top < 0 else table.data
     series = defaultdict[str, list[str]](list)
     for name, value in _facts(lines[:at]).items():
         series[re.sub(r"\d+", "", name)].append(re.sub(r"\s+(?![(\[])", "_", value))
     names = next((own for own in series.values() if len(own) == len({*own}) == table.width > 1), [])
     if not names or any(map(is_number, names)):
-        raise InputError(
-            f"Line {lines[at].number} of {where} must hold column names such as hall_a_m; it holds"
-            " numbers: write a line of names above them."
-        )
+        if table.top >= 0:
+            return [*lines]
+        names = [f"column_{k}" for k in range(table.width)]
     return [*lines[:at], Line(lines[at].number - 1, table.delimiter.join(names)), *lines[at:]]
 
 
