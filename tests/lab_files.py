@@ -15,7 +15,6 @@ import json
 import os
 import re
 import shlex
-import sqlite3
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -463,14 +462,6 @@ def parts_by_run(columns: Columns) -> Iterator[tuple[int, Columns]]:
         yield int(k), {name: x[run == k] for name, x in columns.items()}
 
 
-def sheets_of_runs(file: Path, columns: Columns) -> None:
-    """A sheet of a workbook for each run, behind one of remarks."""
-    pages: dict[str, list] = {"Notes": [(0, 0, ["Stage 4", "warmed up for 2 h"])]}
-    for run, part in parts_by_run(columns):
-        pages[f"Pass {run + 1}"] = [(0, k, [name, *x.tolist()]) for k, (name, x) in enumerate(part.items())]
-    book(file, pages)
-
-
 def archive(file: Path, columns: Columns) -> None:
     """A folder of runs as a zip archive."""
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as out:
@@ -480,20 +471,18 @@ def archive(file: Path, columns: Columns) -> None:
             file.with_suffix(".csv").unlink()
 
 
-def hdf5(place: str = "{name}", unit_at: str = "units", runs: bool = False) -> Save:
-    """HDF5 with a dataset a column at a place of its own, a group for each run if `runs`."""
+def hdf5(place: str, unit_at: str) -> Save:
+    """HDF5 with a dataset a column at a place of its own."""
 
     def save(file: Path, columns: Columns) -> None:
         import h5py
 
         with h5py.File(file, "w") as out:
             out.attrs["operator"] = "M."
-            for run, part in parts_by_run(columns) if runs else [(0, columns)]:
-                for name, unit, x in named(part):
-                    where = place.format(name=name, run=run)
-                    made = out.create_dataset(where, data=x, compression="gzip", shuffle=True)
-                    if unit:
-                        made.attrs[unit_at] = np.bytes_(unit)
+            for name, unit, x in named(columns):
+                made = out.create_dataset(place.format(name=name), data=x, compression="gzip", shuffle=True)
+                if unit:
+                    made.attrs[unit_at] = np.bytes_(unit)
 
     return save
 
@@ -516,30 +505,6 @@ def hdf5_matrix(file: Path, columns: Columns) -> None:
         out["daq/data"].attrs.update(columns=names, units=units, rate_hz=200.0)
 
 
-def tdms(path: Path, data: Columns) -> Written:
-    """TDMS: a group Hall with the channels A, B, C, units as properties, a rate as a property."""
-    from nptdms import ChannelObject, TdmsWriter
-
-    groups = {c: ("Hall", n[-1]) if c.startswith("hall") else ("Stage", n) for c, n in NAMES.items()}
-    with TdmsWriter(str(path / "daq.tdms")) as writer:
-        for c, x in data.items():
-            unit = UNIT.get(c, "")
-            about = {"wf_increment": 5e-3, "wf_start_offset": 0.0} | ({"unit_string": unit} if unit else {})
-            writer.write_segment([ChannelObject(*groups[c], within(x, unit), properties=about)])
-    return Written([str(path / "daq.tdms")], {c: Known("/".join(groups[c]), UNIT.get(c, "")) for c in data})
-
-
-def mdf(file: Path, columns: Columns) -> None:
-    """MDF 4 of a data logger, units of the channels stated."""
-    from asammdf import MDF, Signal
-
-    t = 1e-3 * columns.pop("Time|ms")
-    signals = [Signal(x, t - t[0], name=name, unit=unit) for name, unit, x in named(columns)]
-    with MDF(version="4.10") as out:
-        out.append(signals, comment="stage")
-        out.save(file, overwrite=True)
-
-
 def inside(data: Columns, *columns: str, axis: int = 1) -> np.ndarray:
     return np.stack([within(data[c], UNIT[c]) for c in columns], axis=axis)
 
@@ -556,21 +521,13 @@ def matrices(path: Path, data: Columns) -> Written:
     return Written([str(path / "stage.mat")], known)
 
 
-def matlab(form: str = "") -> Save:
-    """MATLAB variables; as fields of one `struct`, or of an `array` of structs, one a run."""
+def matlab(file: Path, columns: Columns) -> None:
+    """MATLAB structs of an array, one a run."""
+    from scipy.io import savemat
 
-    def save(file: Path, columns: Columns) -> None:
-        from scipy.io import savemat
-
-        if form == "struct":
-            columns = {"log": {n: x[:, None] for n, x in columns.items()}, "rate": 200.0}
-        elif form == "array":
-            parts = [part for _, part in parts_by_run(columns)]
-            kind = [(name, object) for name in parts[0]]
-            columns = {"runs": np.array([tuple(p.values()) for p in parts], dtype=kind)}
-        savemat(file, columns)
-
-    return save
+    parts = [part for _, part in parts_by_run(columns)]
+    kind = [(name, object) for name in parts[0]]
+    savemat(file, {"runs": np.array([tuple(p.values()) for p in parts], dtype=kind)})
 
 
 def one_matrix(path: Path, data: Columns, save: Callable[[dict], str]) -> Written:
@@ -601,14 +558,14 @@ def matlab_73(path: Path, data: Columns) -> Written:
 
 
 def arrow(file: Path, columns: Columns) -> None:
-    """Feather; Parquet with the units in the metadata of its columns."""
+    """Parquet with the units in the metadata of its columns."""
     import pyarrow as pa
-    from pyarrow import feather, parquet
+    from pyarrow import parquet
 
     fields = [pa.field(name, pa.float64(), metadata={"unit": unit} if unit else None)
               for name, unit, _ in named(columns)]  # fmt: skip
     made = pa.table([pa.array(x, pa.float64()) for x in columns.values()], schema=pa.schema(fields))
-    (feather.write_feather if file.suffix == ".feather" else parquet.write_table)(made, str(file))
+    parquet.write_table(made, str(file))
 
 
 def lists_and_records(file: Path, columns: Columns) -> None:
@@ -633,15 +590,6 @@ def json_runs(file: Path, columns: Columns) -> None:
     runs = ({"Run": k, "fs": 200, **{n: x.tolist() for n, x in part.items()}}
             for k, part in parts_by_run(columns))  # fmt: skip
     file.write_text("".join(f"{json.dumps(run)}\n" for run in runs))
-
-
-def database(file: Path, columns: Columns) -> None:
-    """A table of an SQLite database."""
-    with contextlib.closing(sqlite3.connect(file)) as base:
-        base.execute("create table samples ({})".format(", ".join(f'"{name}" real' for name in columns)))
-        rows = zip(*(values.tolist() for values in columns.values()), strict=True)
-        base.executemany(f"insert into samples values ({','.join('?' * len(columns))})", rows)
-        base.commit()
 
 
 # -- encoders and arrays of magnets -------------------------------------------------------------------------
@@ -866,7 +814,7 @@ FILES: dict[str, LabFile] = {
     "HDF5, attributes": LabFile(saved("daq.h5", hdf5("channels/{name}", "Unit"), ASIDE)),
     "HDF5, records": LabFile(saved("records.h5", hdf5_records, SNAKE, JOINED)),
     "MATLAB matrices": LabFile(matrices),
-    "MATLAB array of structs": LabFile(saved("lab.mat", matlab("array"), SNAKE, UNDER)),
+    "MATLAB array of structs": LabFile(saved("lab.mat", matlab, SNAKE, UNDER)),
     "parquet": LabFile(saved("lake.parquet", arrow, ASIDE)),
     "averaged counts": LabFile(maker_table, "chip", within=0.2),
     "voltages in counts": LabFile(of_columns("serial.csv", SERIAL, text()), "rotary", within=2.0),

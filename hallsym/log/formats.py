@@ -40,8 +40,7 @@ from hallsym.log.groups import Group, GroupedSource
 from hallsym.log.isolated import Isolated
 from hallsym.log.maker_tables import open_table
 from hallsym.log.meta import Meta, Noise, check_noise_keys
-from hallsym.log.pace import stamped
-from hallsym.log.parted import by_clock, by_rows, by_signal, paced, side_by_side
+from hallsym.log.parted import by_clock, by_rows, by_signal, paced, side_by_side, stamped
 from hallsym.log.quality.check import clean_log
 from hallsym.log.table import Source, Table, about
 from hallsym.log.text.sniff import stated_delimiter

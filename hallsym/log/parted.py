@@ -54,6 +54,27 @@ def paced(source: Source, where: str) -> Source:
     return Paced(source, source.pace, T, without=clocks)
 
 
+_STAMP = re.compile(r"(.*?)[\W_]*?(?:(s|secs?|seconds?)|(n(?:ano)?s(?:ecs?|econds?)?))", re.I)
+"""A part of a stamp of ROS: `header.stamp.sec`, `header.stamp.nanosec`."""
+
+
+def stamped(source: Source, where: str) -> Source:
+    """Return a table with one time for the two columns of a stamp, seconds and nanoseconds."""
+    found = defaultdict[str, dict[bool, str]](dict)
+    for match in filter(None, map(_STAMP.fullmatch, source.names)):
+        found[match[1]][bool(match[3])] = match[0]
+    stems = [stem for stem, parts in found.items() if len(parts) == 2]
+    data = source.numbers() if len(stems) == 1 else {}
+    if not data or not {*(parts := found[stems[0]]).values()} <= {*data}:
+        return source
+    seconds, rest = (data.pop(parts[k]) for k in (False, True))
+    time = seconds - seconds[0] + 1e-9 * rest  # the digits are for what follows the first sample
+    source.units = {**source.units, parts[False]: "s"}
+    columns = {stems[0] or T: (parts[False], time)} | {name: (name, x) for name, x in data.items()}
+    words = {name: "it holds words" for name in source.names if name not in (*data, *parts.values())}
+    return _parted(source, where, "text", {"": columns}, {**source.left_out, **words})
+
+
 _OF_RUN = re.compile(
     rf"(?:^|[_ ./-])(?:(?:{'|'.join(RUN_WORDS)})[_ .#-]?|#)(\d+)(?=$|[_ ./-])", re.IGNORECASE
 )

@@ -144,23 +144,21 @@ def _called(
     vectors: Mapping[str, Vector], arrays: Mapping[str, Stored], by: str, opened: Opened
 ) -> dict[str, Vector]:
     """Return vectors that lie alone in a group beside their name and unit as words, by that name."""
-    said = defaultdict[str, dict[str, Any]](dict)
+    said, lengths = defaultdict[str, dict[str, str]](dict), defaultdict[str, list[int]](list)
     with opened() as file:
         for path, array in arrays.items():
-            group, _, key = path.rpartition(by)
-            if group and math.prod(array.shape) == 1 and array.dtype.kind in "SUO":
+            if math.prod(array.shape) == 1 and array.dtype.kind in "SUO":
+                group, _, key = path.rpartition(by)
                 said[group][key.lower()] = "".join(words_of(array.find(file, "")[()]))
-    longest = {group: max((v.rows for p, v in vectors.items() if p.rpartition(by)[0] == group), default=0)
-               for group in said}  # fmt: skip
+    for path, vector in vectors.items():
+        lengths[path.rpartition(by)[0]].append(vector.rows)
     found = dict[str, Vector]()
     for path, vector in vectors.items():
-        group = path.rpartition(by)[0]
-        facts = said.get(group, {})
-        alone = sum(p.rpartition(by)[0] == group and v.rows == vector.rows for p, v in vectors.items()) == 1
-        if facts and alone and vector.rows == longest[group] > 1:
-            name = next((facts[key] for key in ("label", "name") if facts.get(key)), "")
+        group, rows = path.rpartition(by)[0], vector.rows
+        if said[group] and rows == max(lengths[group]) > 1 == lengths[group].count(rows):
+            name = said[group].get("label") or said[group].get("name")
             path = by.join(filter(None, (group.rpartition(by)[0], name))) if name else path
-            vector = vector._replace(unit=vector.unit or unit_in(facts))
+            vector = vector._replace(unit=vector.unit or unit_in(said[group]))
         found[path] = vector
     return found
 
