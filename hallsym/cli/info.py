@@ -17,6 +17,7 @@ examples:
 import shlex
 from argparse import Namespace
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from itertools import accumulate, zip_longest
 from pathlib import Path
@@ -213,7 +214,9 @@ def _write(options: Namespace) -> int:
         open = ", ".join(found.open)
         check += f": in it the unit of {open} is open; remove the # of the right line of each"
     columns = tuple(si_name(g.ours) for g in found.guesses) + found.rest
-    notes = [] if described or options.machine else layout_notes(found.model.name, Meta(columns=columns))
+    notes = list[str]()
+    with suppress(InputError):  # a draft with open units may be no log of the model
+        notes = [] if described or options.machine else layout_notes(found.model.name, Meta(columns=columns))
     if not found.recognised:
         unknown = "nothing in the file tells what sensor it is of"
         remedy = f"say it with --model ('hallsym info' lists them), or name the columns in {options.write}"

@@ -79,6 +79,8 @@ def _apart(word: str) -> tuple[str, ...]:
     return (word,)
 
 
+UNNAMED = re.compile(r"unnamed_\d+|\(column \d+\)|column_\d+")
+"""Columns without a name, by their place."""
 _KINDS = frozenset({REF, READING, "col"})
 """Words of names that say what numbered columns are."""
 
@@ -96,7 +98,7 @@ def series_of(names: Iterable[str]) -> list[dict[str, int]]:
     for name in names:
         numbers = re.findall(r"\d+", name)
         words = words_of(name, unit=True) - set(numbers)
-        if len(numbers) <= 1 and not words & (set(_WORDS.values()) - _KINDS):
+        if len(numbers) <= 1 and not UNNAMED.fullmatch(name) and not words & (set(_WORDS.values()) - _KINDS):
             stem = re.sub(r"\W*\d+", "", name)
             found.setdefault(stem, {}).setdefault(int(numbers[0]) if numbers else 0, name)
     several = [

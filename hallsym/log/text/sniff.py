@@ -190,6 +190,12 @@ class Split:
         counted = numbers in ([str(k + first) for k in range(len(numbers))] for first in (0, 1))
         return all(here) or (any(here) and here == under and not counted)
 
+    def is_setting(self, k: int) -> bool:
+        """Say whether a row begins with a word and those below do not: `Range:,10,10` above `,0.5,0.7`."""
+        first, *below = [row[0] for row in self.rows[k : k + 1 + STEADY] if len(row) == self.width] or [""]
+        words = [bool(_WORD.match(cell)) and cell not in MISSING for cell in (first, *below)]
+        return words[0] and len(below) == STEADY and not any(words[1:])
+
     @property
     def groups(self) -> list[str]:
         """What each name is one of, by a row above the names in which the same words stand side by side."""
@@ -301,6 +307,8 @@ def sniffed(
         lines = _with_names(lines, table)
         written, table = lines, _table(lines[:MOST], table.delimiter, where)
     first, units_line, units = table.units(lines)
+    while table.is_setting(first):
+        first += 1
     if not units and first < len(lines):
         units = [unit_behind(cell) or "" for cell in split(written[first].text, table.delimiter)]
     names = [*table.names, *[""] * (table.width - len(table.names) == 1 and table.trailing)]
@@ -391,7 +399,7 @@ def _table(lines: Sequence[Line], delimiter: str | None, where: str) -> Split:
 def _with_names(lines: Sequence[Line], table: Split) -> list[Line]:
     """Return lines of numbers below one of names that stand in a line each: `# NAME0 = Hall A (um)`.
 
-    Numbers below no names at all are `column_0` to `column_k`.
+    Numbers below no names at all are `unnamed_0` to `unnamed_k`.
     """
     at = next(k for k, line in enumerate(lines) if not line.comment) if table.top < 0 else table.data
     series = defaultdict[str, list[str]](list)
@@ -401,7 +409,7 @@ def _with_names(lines: Sequence[Line], table: Split) -> list[Line]:
     if not names or any(map(is_number, names)):
         if table.top >= 0:
             return [*lines]
-        names = [f"column_{k}" for k in range(table.width)]
+        names = [f"unnamed_{k}" for k in range(table.width)]
     return [*lines[:at], Line(lines[at].number - 1, table.delimiter.join(names)), *lines[at:]]
 
 
