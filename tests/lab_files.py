@@ -15,6 +15,7 @@ import json
 import os
 import re
 import shlex
+import sqlite3
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -240,27 +241,6 @@ def stamps(seconds: np.ndarray, start: str = "2026-03-02T23:59:58") -> list[str]
     return [str(moment).replace("T", " ") for moment in moments]
 
 
-def gnuplot_blocks(path: Path, data: Columns) -> Written:
-    """A block of lines for each run, an empty line or two between them."""
-    parts = [theirs(part, "{name}_{unit}", UNDER) for part in runs_of(data)]
-    lines = ["# " + " ".join(parts[0][0])]
-    for columns, _ in parts:
-        lines += [" ".join(map(usual, row)) for row in zip(*columns.values(), strict=True)] + ["", ""]
-    (path / "blocks.dat").write_text("\n".join(lines), encoding="utf-8")
-    return Written([str(path / "blocks.dat")], parts[0][1])
-
-
-def one_behind_another(path: Path, data: Columns) -> Written:
-    """Files of runs that were put one behind another, names and all."""
-    parts = [theirs(part) for part in runs_of(data)]
-    lines = []
-    for columns, _ in parts:
-        rows = zip(*columns.values(), strict=True)
-        lines += [",".join(columns), *(",".join(map(usual, row)) for row in rows)]
-    (path / "all.csv").write_text("\n".join([*lines, ""]), encoding="utf-8")
-    return Written([str(path / "all.csv")], parts[0][1])
-
-
 def counts(path: Path, data: Columns) -> Written:
     """Readings as counts of a converter, its scale and offset in a remark above."""
     columns, known = theirs(data)
@@ -462,6 +442,14 @@ def parts_by_run(columns: Columns) -> Iterator[tuple[int, Columns]]:
         yield int(k), {name: x[run == k] for name, x in columns.items()}
 
 
+def sheets_of_runs(file: Path, columns: Columns) -> None:
+    """A sheet of a workbook for each run, behind one of remarks."""
+    pages: dict[str, list] = {"Notes": [(0, 0, ["Stage 4", "warmed up for 2 h"])]}
+    for run, part in parts_by_run(columns):
+        pages[f"Pass {run + 1}"] = [(0, k, [name, *x.tolist()]) for k, (name, x) in enumerate(part.items())]
+    book(file, pages)
+
+
 def archive(file: Path, columns: Columns) -> None:
     """A folder of runs as a zip archive."""
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as out:
@@ -471,18 +459,20 @@ def archive(file: Path, columns: Columns) -> None:
             file.with_suffix(".csv").unlink()
 
 
-def hdf5(place: str, unit_at: str) -> Save:
-    """HDF5 with a dataset a column at a place of its own."""
+def hdf5(place: str, unit_at: str = "units", runs: bool = False) -> Save:
+    """HDF5 with a dataset a column at a place of its own, a group for each run if `runs`."""
 
     def save(file: Path, columns: Columns) -> None:
         import h5py
 
         with h5py.File(file, "w") as out:
             out.attrs["operator"] = "M."
-            for name, unit, x in named(columns):
-                made = out.create_dataset(place.format(name=name), data=x, compression="gzip", shuffle=True)
-                if unit:
-                    made.attrs[unit_at] = np.bytes_(unit)
+            for run, part in parts_by_run(columns) if runs else [(0, columns)]:
+                for name, unit, x in named(part):
+                    where = place.format(name=name, run=run)
+                    made = out.create_dataset(where, data=x, compression="gzip", shuffle=True)
+                    if unit:
+                        made.attrs[unit_at] = np.bytes_(unit)
 
     return save
 
@@ -590,6 +580,15 @@ def json_runs(file: Path, columns: Columns) -> None:
     runs = ({"Run": k, "fs": 200, **{n: x.tolist() for n, x in part.items()}}
             for k, part in parts_by_run(columns))  # fmt: skip
     file.write_text("".join(f"{json.dumps(run)}\n" for run in runs))
+
+
+def database(file: Path, columns: Columns) -> None:
+    """A table of an SQLite database."""
+    with contextlib.closing(sqlite3.connect(file)) as base:
+        base.execute("create table samples ({})".format(", ".join(f'"{name}" real' for name in columns)))
+        rows = zip(*(values.tolist() for values in columns.values()), strict=True)
+        base.executemany(f"insert into samples values ({','.join('?' * len(columns))})", rows)
+        base.commit()
 
 
 # -- encoders and arrays of magnets -------------------------------------------------------------------------
@@ -795,7 +794,6 @@ FILES: dict[str, LabFile] = {
     "words above names": LabFile(saved("levels.csv", words_above_names, ASIDE)),
     "no units": LabFile(saved("plain.csv", text(), "{name}", units={**UNIT, "t_s": "s"})),
     "line breaks in names": LabFile(saved("quoted.csv", text(", "), '"{name}\n[{unit}]"')),
-    "blocks of gnuplot": LabFile(gnuplot_blocks),
     "oscilloscope": LabFile(one_run(of_columns("scope.csv", SCOPE, text(
         head=lambda names: ",".join(names) + "\nsecond,Volt,Volt,deg", number="{:.10E}".format))), "rotary"),
     "LabVIEW measurement": LabFile(knows(saved(
@@ -861,7 +859,6 @@ FILES: dict[str, LabFile] = {
                                      {c: n.lower() for c, n in UNDER.items()}, clock=("time_s", as_it_is))),
     "one series after the other": LabFile(saved("influx.csv", annotated_series, SNAKE, {
         c: n.lower() for c, n in UNDER.items()}, clock=("_time", stamps))),
-    "names come again": LabFile(one_behind_another),
     "no height, no tilts": LabFile(saved("flat.csv", text(), without=VERTICAL)),
     "a column of words, lost samples": LabFile(saved("status.csv", lost_samples, after={
         "Status": lambda n: ["OK"] * n}), says=("--drop-bad",)),

@@ -37,7 +37,7 @@ def one_of(where: str, kind: str, tables: Mapping[str, Source], chosen: str | No
     filled = {
         name: source
         for name, source in tables.items()
-        if np.mean([is_number(cell) for row in source.head(_FEW, 100) for cell in row] or [0]) > 0.5
+        if np.mean([is_number(cell) for row in source.head(_FEW, 100) for cell in row] or [False]) > 0.5
     } or tables
     if not filled:
         raise InputError(f"{where} is empty: it must hold a row of column names and one row per sample.")

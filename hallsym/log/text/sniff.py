@@ -297,10 +297,10 @@ def sniffed(
     table = _table(lines[:MOST], delimiter, where)
     at = next((k for k, row in enumerate(table.rows) if any(map(is_number, row[:LOOKED_AT]))), 0)
     if table.is_transposed(table.rows[at:]):
-        rows = [split(line, table.delimiter) for line in text.lines(where) if line.strip()][at:]
-        if table.is_transposed(rows):
-            above = [line.text for line in lines[:at]]
-            turned = "\n".join([*above, *map("\t".join, zip(*rows, strict=True)), ""])
+        channels = [split(line, table.delimiter) for line in text.lines(where) if line.strip()][at:]
+        if table.is_transposed(channels):
+            head = [line.text for line in lines[:at]]
+            turned = "\n".join([*head, *map("\t".join, zip(*channels, strict=True)), ""])
             found = sniffed(Encoded(turned.encode()), f"{where}, transposed", "\t", decimal, sheet)
             return replace(found, said=f"a channel in each line, transposed: {found.said}", usual=False)
     if table.top < 0 or abs(len(table.names) - table.width) > 1:
