@@ -280,13 +280,6 @@ def annotated_series(file: Path, columns: Columns) -> None:
     file.write_text("\n".join([*notes, *rows, ""]), encoding="utf-8")
 
 
-def names_before_numbers(file: Path, columns: Columns) -> None:
-    """The lines of a serial plotter."""
-    rows = zip(*columns.values(), strict=True)
-    lines = [",".join(f"{n}:{usual(x)}" for n, x in zip(columns, row, strict=True)) for row in rows]
-    file.write_text("\n".join([*lines, ""]))
-
-
 def own_clocks(file: Path, columns: Columns) -> None:
     """A time before each channel, below rows of names, types and units, as TwinCAT exports them."""
     clock, cells = columns.pop("Time|ms"), [*named(columns)]
@@ -770,13 +763,6 @@ def line_protocol(file: Path, columns: Columns) -> None:
     file.write_text("\n".join([*lines, ""]))
 
 
-def transposed(file: Path, columns: Columns) -> None:
-    """A channel in each line: its name, its unit, its samples."""
-    file.write_text(
-        "\n".join(",".join([name, unit or "-", *map(usual, x)]) for name, unit, x in named(columns))
-    )
-
-
 def words_above_names(file: Path, columns: Columns) -> None:
     """Columns of pandas with several levels: what it is of, its name, its unit."""
     levels = [(*(name.split() if " " in name else ("log", name)), unit) for name, unit, _ in named(columns)]
@@ -790,7 +776,6 @@ FILES: dict[str, LabFile] = {
     "stamps of ROS": LabFile(one_run(stamped)),
     "line protocol": LabFile(saved("influx.txt", line_protocol, SNAKE, UNDER | {"t_s": "(column 13)"},
                                    UNIT | {"t_s": ""})),
-    "a channel in each line": LabFile(saved("rows.csv", transposed, ASIDE)),
     "words above names": LabFile(saved("levels.csv", words_above_names, ASIDE)),
     "no units": LabFile(saved("plain.csv", text(), "{name}", units={**UNIT, "t_s": "s"})),
     "line breaks in names": LabFile(saved("quoted.csv", text(", "), '"{name}\n[{unit}]"')),
@@ -825,7 +810,6 @@ FILES: dict[str, LabFile] = {
         head=lambda names: ",".join(names) + ",Start,Increment\nSequence,Volt,Volt,Volt,0.0,5e-3",
         last=",,"))), "rotary"),
     "channels by number": LabFile(one_run(of_columns("analog.csv", CHANNELS, text())), "rotary"),
-    "names before numbers": LabFile(saved("plot.csv", names_before_numbers, SNAKE, UNDER)),
     "a clock for each channel": LabFile(one_run(saved("scope.csv", own_clocks, ASIDE))),
     "channels in their own rows": LabFile(saved("bus.csv", own_rows), within=0.2),
     "names in a line each": LabFile(timeless("rec0.dat", text(" ", head=name_by_name))),

@@ -245,6 +245,21 @@ def test_json_of_lists_and_lists_of_json(tmp_path: Path, text: str) -> None:
     assert log.array("x_ref_m") == pytest.approx([1.5e-6, 2e-6])
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (",t_ms,x_ref_um\nRange:,10,10\n" + "".join(f",{k},{k}.5\n" for k in range(9)), "settings below"),
+        ("t_ms,0,1,2,3\nx_ref_um,0.5,1.5,2.5,3.5\n", "transposed"),
+        ("Hz,200\nt_ms;ms;0;1;2;3\nx_ref_um;um;0,5;1,5;2,5;3,5\n", "transposed"),
+    ],
+)  # fmt: skip
+def test_what_is_no_sample_and_what_lies_on_its_side_is_said(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "log.csv").write_text(text)
+    log = read_log(tmp_path / "log.csv")
+    assert log.array("x_ref_m")[:4] == pytest.approx([0.5e-6, 1.5e-6, 2.5e-6, 3.5e-6])
+    assert any(said in note for note in log.notes)
+
+
 def test_a_list_in_each_sample_of_json_is_columns(tmp_path: Path) -> None:
     (tmp_path / "log.jsonl").write_text('{"t_s": 0, "hall_um": [1, 2.5]}\n{"t_s": 1, "hall_um": [3, 4]}\n')
     source = read_log(tmp_path / "log.jsonl").table.source

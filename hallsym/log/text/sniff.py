@@ -307,6 +307,7 @@ def sniffed(
         lines = _with_names(lines, table)
         written, table = lines, _table(lines[:MOST], table.delimiter, where)
     first, units_line, units = table.units(lines)
+    under = first
     while table.is_setting(first):
         first += 1
     if not units and first < len(lines):
@@ -340,6 +341,8 @@ def sniffed(
         f"names in line {header}{f' with units in line {units_line}' if units_line else ''}",
         *([f"{above} {'line' if above == 1 else 'lines'} above them not used"] if above else ()),
     ]
+    if settings := [line.text for line in lines[under:first]]:
+        said.append(f"settings below them left out ({settings[0][:40]!r})")
     if remarks:
         said.append(f"lines of words among the numbers left out ({remarks[0][:40]!r})")
     plain = text.encoding == "utf-8" and numbers == POINT and table.delimiter in ",\t"
@@ -348,7 +351,7 @@ def sniffed(
         quoted, bool(remarks),
         not text.end.endswith("\n") and text.end.strip().rpartition("\n")[2] not in remarks,
         _times(body), tuple(spelled), repeated, heads, _facts(lines[:first]),
-        ", ".join(said), usual=plain and not (units_line or remarks or above or spelled),
+        ", ".join(said), usual=plain and not (units_line or remarks or above or spelled or settings),
     )  # fmt: skip
 
 
