@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import count
 
 import numpy as np
 
@@ -159,18 +160,23 @@ def with_effects(base: Base, variants: Iterable[Variant], values: Mapping[str, f
     return replace(base, p=np.array(p))
 
 
-def refit(base: Base, runs: Sequence[int]) -> Refitted:
+def refit(base: Base, runs: Sequence[int], beside: float = np.inf) -> Refitted:
     """Minimise the whitened residual of `runs` from `base`; every run's offsets follow its own samples.
 
-    It ends where a step lowers the cost by less than 1e-5 of it.
+    It ends where a step lowers the cost by less than 1e-5 of it, or where steps as good as the last one do
+    not reach the cost `beside` it in the passes that are left.
     """
+    left = count(PASSES, -1)
 
     def linearised(at: Base) -> Refitted:
         t = normal_equations(at, decoded=False)
         units = t.units(runs)
         return Refitted(at, t, units, float(t.likelihood[units, -1, -1].sum()))
 
-    return gauss_newton(linearised, base, lambda now, gained: gained <= 1e-5 * now.cost, PASSES)[0]
+    def converged(now: Refitted, gained: float) -> bool:
+        return gained <= 1e-5 * now.cost or next(left) * gained < now.cost - beside
+
+    return gauss_newton(linearised, base, converged, PASSES)[0]
 
 
 def seen(base: Base, M: np.ndarray) -> np.ndarray:

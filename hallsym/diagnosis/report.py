@@ -362,18 +362,14 @@ def _effect(found: Validation, validated: Validated, spread: np.ndarray) -> Foun
     index = {n: model.names.index(n) for n in score.model.names if n in model.names and n not in before.names}
     ended = tuple(n for n, j in index.items() if j in stuck)
     blind = [n for n, j in index.items() if j in unseen]
+    known = {n: float(values[j]) for n, j in index.items()}
+    std = {n: None if j in stuck or j in unseen else float(spread[j]) for n, j in index.items()}
+    remark = score.effect.remark(known, {n: np.inf if s is None else s for n, s in std.items()})
     return FoundEffect(
         name=score.effect.name,
         link=score.effect.link,
         variant=score.variant.label,
-        parameters={
-            n: Estimate(
-                float(values[j]),
-                None if j in stuck or j in unseen else float(spread[j]),
-                model.parameters[j].unit,
-            )
-            for n, j in index.items()
-        },
+        parameters={n: Estimate(known[n], std[n], model.parameters[j].unit) for n, j in index.items()},
         p_value=score.p_value,
         shrinkage=validated.judged.value,
         interval=validated.judged.interval(),
@@ -381,7 +377,7 @@ def _effect(found: Validation, validated: Validated, spread: np.ndarray) -> Foun
         cost=firmware_cost(before, model, fit.base.p),
         text=score.variant.text,
         at_bound=ended,
-        note=_note(ended, blind),
+        note=" ".join(filter(None, (remark, _note(ended, blind)))),
     )
 
 

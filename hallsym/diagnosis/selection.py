@@ -61,7 +61,9 @@ def refitted(
             break
         again = [s for s in scored if s.effect is first.effect and s.gain >= policy.half * first.gain]
         starts = again[: policy.starts] if first.variant.tried > 1 else [first]
-        fits = [screen.refits.get(s.model) or refit(with_model(base, s.model), runs) for s in starts]
+        least_cost = min((e.fit.cost for e in out), default=np.inf)
+        known = screen.refits
+        fits = [known.get(s.model) or refit(with_model(base, s.model), runs, least_cost) for s in starts]
         found = [Exact(s, fit, fit.bic(s.size)) for s, fit in zip(starts, fits, strict=True)]
         possible = (e for e in found if e.score.effect.possible(e.fit.base.values))
         best = min(possible, key=lambda e: e.bic, default=None)

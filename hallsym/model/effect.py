@@ -71,8 +71,9 @@ class Effect:
     `link`: of the chain from pose to reading. `separate`: recordings that isolate it. `needs`: logged columns
     that a test of it requires. `label`: of a variant without numbers. `unless`: effects that contain it.
     `waves`: waves of error per period of the pose that it causes. `possible(values)`: whether fitted
-    parameters can belong to this cause. `inject`: how it is injected, if not by its parameters. `diagnosed`:
-    whether a diagnosis tries it.
+    parameters can belong to this cause. `remark(values, stds)`: what a user must know of them, or nothing;
+    an uncertainty is infinite where unknown. `inject`: how it is injected, if not by its parameters.
+    `diagnosed`: whether a diagnosis tries it.
     """
 
     name: str
@@ -86,6 +87,7 @@ class Effect:
     unless: tuple[str, ...] = ()
     waves: tuple[int, ...] = ()
     possible: Callable[[Mapping[str, float]], bool] = lambda values: True
+    remark: Callable[[Mapping[str, float], Mapping[str, float]], str] = lambda values, stds: ""
     inject: Callable[..., Any] | None = None
     diagnosed: bool = True
 

@@ -9,6 +9,7 @@ from math import exp, pi, sin
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from test_halbach_ends import read
 from twins import example_log
 
@@ -23,6 +24,7 @@ from hallsym.families.halbach.models import halbach
 from hallsym.families.published import table as published
 from hallsym.inference.profiles import profile
 from hallsym.log import Meta
+from hallsym.model import on_arrays
 from hallsym.model.model import parameter
 from hallsym.uncertainty import errors_along
 
@@ -189,6 +191,26 @@ def test_a_fit_finds_an_effect_that_was_simulated(effect, values):
     rmse = fit.errors.rows()["fitted"]["rmse"]
     for c, floor in fit.noise_floor.items():
         assert rmse[c] == pytest.approx(floor, rel=0.15)
+
+
+@pytest.mark.parametrize("per", ["", ":per=channel"])
+def test_a_lag_is_the_readings_through_a_low_pass(per):
+    """The same readings filtered at a high rate: 2 % of them are within 5e-6, at 8 Hz and .2 ms."""
+    tau, rate, fine = 2e-4, 2 * pi * 8, 40
+    late, model = build("halbach", added=(f"first_order_lag{per}",)), build("halbach")
+    t = np.linspace(0, 0.5, 2000 * fine + 1)
+    x, v = 0.01 * np.sin(rate * t), 0.01 * rate * np.cos(rate * t)
+    seen = on_arrays(model.reading)(model.nominal, [], [x, 5e-3 + 0 * x], [])[0]
+    decay, step = np.exp(-t[1] / tau), t[1] / tau
+    sides = (1 - decay) / step
+    filtered = lfilter([1 - sides, sides - decay], [1, -decay], seen, axis=1)[:, ::fine]  # linear between
+    known = {"d1_x_ref_m": v[::fine], "d2_x_ref_m": -(rate**2) * x[::fine]}
+    state = [known.get(c, 0 * v[::fine]) for c in late.state]
+    values = late.vector({n: tau for n in late.names if n.startswith("tau_")})
+    found = on_arrays(late.reading)(values, [], [x[::fine], 5e-3 + 0 * x[::fine]], state)[0]
+    settled, size = t[::fine] > 0.1, np.abs(seen).max()
+    assert np.abs(seen[:, ::fine] - filtered).max() > 0.01 * size
+    assert np.abs(found - filtered)[:, settled].max() < 5e-6 * size
 
 
 def test_gains_and_the_field_have_one_free_factor():

@@ -227,13 +227,15 @@ def test_what_may_repeat_with_the_place_is_no_noise(made, passes, noise, is_nois
 def test_a_map_of_the_magnets_under_the_travel_is_found(flipped):
     """With 1 % and 10 mrad of scatter the holdout error falls to the noise; also with one upside down.
 
-    That one has its own value, and every magnet an uncertainty.
+    That one is named and has its own value, and every magnet an uncertainty.
     """
     log = drawn_along(scattered(2, flipped), 6, white)
     found = hallsym.diagnose(log, "halbach", holdout=[4, 5])
     assert (found.verdict, found.ranked[0]) == ("explained", "magnet_map")
     assert found.metric.before > 4 * found.metric.floor
     assert found.metric.after < 1.2 * found.metric.floor
+    remark = "" if flipped is None else f"Magnet {flipped - 24} is upside down"
+    assert found.effects[0].note.partition(":")[0] == remark
     if flipped is not None:
         fit = hallsym.fit(log, "halbach", effects=["magnet_map"], solver="direct", loss="none")
         assert fit.determined.all()

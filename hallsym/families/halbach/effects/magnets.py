@@ -3,6 +3,7 @@
 What is fixed to the mover repeats from run to run and moves with x; what is fixed to the board does not.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
@@ -163,7 +164,33 @@ def _of_each(model: Model, effect: str, shares: str = "", turns: str = "") -> Mo
     return replace(wide, typical=(*model.typical, *((-x, one.level_m) for x in places.tolist())))
 
 
-@effect(link="field", label="each magnet", unless=("magnet_map",), separate=(HALF_TURN, "a longer stroke"))
+CERTAIN = 5.0
+"""Standard uncertainties from 0 at which a magnet of the other sign is called upside down."""
+
+
+def upside_down(values: Mapping[str, float], stds: Mapping[str, float]) -> str:
+    """Return which magnets point the other way than most of their array, by array and number, or nothing."""
+    known: dict[str, dict[int, tuple[float, float]]] = {}
+    for name, share in values.items():
+        if found := re.fullmatch(r"(?:remanence_spread|magnet)_(.*_)?(-?\d+)(?:_remanence)?", name):
+            label, number = found[1] or "", int(found[2])
+            common = values.get(f"array_{label}remanence", 0.0)
+            common += (1 - 2 * (number % 2)) * values.get(f"alternating_{label}remanence", 0.0)
+            known.setdefault(label, {})[number] = 1 + share + common, stds[name]
+    said = []
+    for label, own in known.items():
+        usual = float(np.median([size for size, _ in own.values()]))
+        for number, (size, std) in own.items():
+            if size * usual < 0 and abs(size) > CERTAIN * std:
+                which = f"{number} of {label[:-1]}" if label else f"{number}"
+                said.append(f"Magnet {which} is upside down: {size / usual:.3g} times the usual remanence.")
+    return " ".join(said)
+
+
+@effect(
+    link="field", label="each magnet", unless=("magnet_map",), remark=upside_down,
+    separate=(HALF_TURN, "a longer stroke"),
+)  # fmt: skip
 def remanence_spread(model: Model) -> Model:
     """The remanence of the magnets differs from one to the next (mover-fixed)."""
     return _of_each(model, "remanence_spread", shares="remanence_spread_{}")
@@ -175,7 +202,10 @@ def magnetisation_angle_error(model: Model) -> Model:
     return _of_each(model, "magnetisation_angle_error", turns="magnetisation_angle_error_{}")
 
 
-@effect(link="field", label="remanence and direction of each magnet", separate=(HALF_TURN, "a longer stroke"))
+@effect(
+    link="field", label="remanence and direction of each magnet", remark=upside_down,
+    separate=(HALF_TURN, "a longer stroke"),
+)  # fmt: skip
 def magnet_map(model: Model) -> Model:
     """Each magnet has its own remanence and direction (mover-fixed): a map of the array.
 

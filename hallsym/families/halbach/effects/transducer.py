@@ -1,12 +1,13 @@
 """Effects of Halbach arrays at the transducer: offset, gain, bend, drift and lag of each sensor."""
 
 import casadi as ca
+import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.families.halbach import links
 from hallsym.families.halbach.layout import arrays, sensors
 from hallsym.families.halbach.links import FIELD, FILTER, LATER
-from hallsym.families.mechanisms import LOW_PASS, Functions, P, bends, drifts, following
+from hallsym.families.mechanisms import Functions, P, bends, drifts, following
 from hallsym.model import Facts, Model, Parameter, Signals, Way, effect
 from hallsym.model.arguments import Try, found, one_of
 from hallsym.model.derived import rate
@@ -93,24 +94,24 @@ def first_order_lag(
 ) -> Model:
     """Low-pass in the path of the readings, or eddy currents.
 
-    To fourth order in the time constant times the frequency of the reading; the motion to second order.
+    The motion to second order in the time constant, and of that the mean over the past, weighed by
+    exp(-age / tau), to fifth order: Gauss-Laguerre quadrature.
     """
     names = [f"tau_{k}" for k in links.labels(model)] if per == "channel" else ["tau_lag"]
     new = tuple(Parameter(n, 0.0, 0.0, 0.05, "s", "time constant of the low-pass") for n in names)
     columns = [rate(c, n) for n in (1, 2) for c in model.references]
+    ages = np.transpose(np.polynomial.laguerre.laggauss(3)).tolist()
 
     def step(s: Signals, p: P) -> None:
-        later = s[LATER] = ca.SX.sym(LATER)
+        later = s[LATER] = ca.SX.sym(LATER, len(names))
         for coordinate, column in zip(model.pose, model.references, strict=True):
-            links.move(s, coordinate, s[f"d1_{column}"] * later + s[f"d2_{column}"] * later**2 / 2)
+            by = [s[f"d1_{column}"] * t + s[f"d2_{column}"] * t**2 / 2 for t in ca.vertsplit(later)]
+            links.move(s, coordinate, by * (len(model.channels) // len(names)))
 
         def low_passed(s: Signals, field: ca.SX) -> ca.SX:
-            tau = ca.vertcat(*(p[n] for n in names)) if per == "channel" else p[names[0]]
-            out = slope = field
-            for n, factor in enumerate(LOW_PASS, start=1):
-                slope = ca.jtimes(slope, later, ca.SX(1))
-                out = out + factor * tau**n * slope
-            return ca.substitute(out, later, ca.SX(0))
+            tau = ca.vertcat(*(p[n] for n in names))
+            seen = (weight * ca.substitute(field, later, -age * tau) for age, weight in ages)
+            return sum(seen, ca.SX(0))
 
         s.functions[FILTER] = low_passed
 
