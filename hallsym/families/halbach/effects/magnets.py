@@ -25,8 +25,9 @@ LONGER = Way("a longer array", "what its ends make goes away")
 HEIGHT = Way("another gap", "harmonic h fades with h times the rate of the first")
 
 
-LIMIT = 5.0
-"""Bounds of what a magnet is off: wide, since the outermost ones are hardly seen."""
+LIMIT = 50.0
+"""Bounds of what a magnet is off: wide, since the outermost ones are hardly seen, and one that stopped at a
+bound would distort its neighbours."""
 
 
 def segments(model: Model) -> dict[str, range]:
