@@ -19,7 +19,7 @@ from hallsym.model.derived import HALVES, Computed, Stretch
 
 HALO = 4 * HALVES[-1]
 """Samples of context on either side of a block."""
-_HALVES: WeakKeyDictionary[Log, dict[tuple, dict[str, int]]] = WeakKeyDictionary()
+_WINDOWS: WeakKeyDictionary[Log, dict[tuple, dict[str, tuple[int, int]]]] = WeakKeyDictionary()
 """Smoothing windows by log and run: chosen once, on the first stretch of a size."""
 
 
@@ -94,7 +94,7 @@ class ExtendedLog:
 
     def _stretches(self, columns: tuple[str, ...], size: int) -> Iterator[tuple[Stretch, slice]]:
         """Yield blocks with up to HALO samples of context on either side, and where the block itself lies."""
-        windows = _HALVES.setdefault(self.log, {})
+        windows = _WINDOWS.setdefault(self.log, {})
         sigma = tuple(sorted(self.sigma.items()))
         before: Block | None = None
         for block, after in pairwise(chain(self.log.blocks(columns, max(size, HALO)), [None])):
@@ -102,11 +102,11 @@ class ExtendedLog:
             if before is None or before.run != block.run:
                 before, first = None, float(block.data["t_s"][0])
                 self._origin = origin = first if self._origin is None else self._origin
-                halves = windows.setdefault((block.run, first, size, sigma), {})
+                chosen = windows.setdefault((block.run, first, size, sigma), {})
             after = after if after is not None and after.run == block.run else None
             parts = [{c: v[-HALO:] for c, v in before.data.items()}] if before else []
             parts += [block.data, *([{c: v[:HALO] for c, v in after.data.items()}] if after else [])]
-            stretch = Stretch(block.run, joined(parts, columns), first, origin, self.sigma, halves)
+            stretch = Stretch(block.run, joined(parts, columns), first, origin, self.sigma, chosen)
             start = len(parts[0]["t_s"]) if before else 0
             whole = before is None and after is None
             yield stretch, slice(None) if whole else slice(start, start + len(block.data["t_s"]))
@@ -132,4 +132,4 @@ def extended(
 
 def share_windows(log: Log, other: Log) -> None:
     """Smooth the columns of `other`, the same log with other noise, with the windows of `log`."""
-    _HALVES[other] = _HALVES.setdefault(log, {})
+    _WINDOWS[other] = _WINDOWS.setdefault(log, {})

@@ -18,9 +18,15 @@ from numpy.polynomial import legendre
 from hallsym.model.arrays import median
 
 ORDER = 5
-"""Degree of the local polynomials."""
+"""Degree of the local polynomials; near the ends of a run no higher one is used."""
 HALVES = (3, 4, 5, 6, 8, 10, 12, 16, 20, 26, 34, 44, 58, 76, 100)
-"""Half widths [samples] that are tried."""
+"""Half widths [samples] of windows of that degree."""
+WINDOWS = ((11, 6), (11, 8), *((ORDER, half) for half in HALVES))
+"""Degrees and half widths that are tried in this order, the fastest motion first.
+
+At six samples a period the first one's slope is .01 % too small, at the cost of noise like that of the
+narrowest one of degree 5, whose slope is .7 % too small there and whose curvature is 9 %: rates would be too
+small, and a lag, which is a share of the rate, too large."""
 T = TypeVar("T")
 
 
@@ -45,7 +51,7 @@ class Stretch:
     """Consecutive samples of one run: `data[column]`, and properties of the whole run.
 
     `first_s`: time of the first sample of the run and `origin_s` of the log. `sigma`: noise by column.
-    `halves`: smoothing windows chosen at the beginning of the run. `parts`: of several whole runs, one after
+    `windows`: of smoothing, chosen at the beginning of the run. `parts`: of several whole runs, one after
     the other, the stretch of each; `run` and `first_s` are then those of every sample, (samples,).
     """
 
@@ -54,7 +60,7 @@ class Stretch:
     first_s: float | np.ndarray
     origin_s: float
     sigma: Mapping[str, float]
-    halves: dict[str, int]
+    windows: dict[str, tuple[int, int]]
     parts: Sequence[Stretch] = ()
     _known: dict[Hashable, Any] = field(default_factory=dict)
 
@@ -93,12 +99,14 @@ class Stretch:
             return np.zeros(len(values)) if order else values
         step, even, grid = self.once("grid", lambda: _grid(t))
         x = values if even else np.interp(grid, t, values)
-        if column not in self.halves:
-            self.halves[column] = widest_half(x, self.sigma.get(column, 0.0))
-        half = min(self.halves[column], (len(x) - 1) // 2)
-        if 2 * half + 1 <= ORDER:
+        if column not in self.windows:
+            self.windows[column] = widest_window(x, self.sigma.get(column, 0.0))
+        degree, half = self.windows[column]
+        longest = (len(x) - 1) // 2
+        if longest < HALVES[0]:
             return np.zeros(len(values)) if order else values
-        smooth = _local(x, half, order) / step**order
+        window = (degree if half <= longest else ORDER, min(half, longest))
+        smooth = _local(x, window, order) / step**order
         return smooth if even else np.interp(t, grid, smooth)
 
 
@@ -111,43 +119,48 @@ def _grid(t: np.ndarray) -> tuple[float, bool, np.ndarray]:
 
 
 @lru_cache(maxsize=256)
-def _windows(half: int, order: int) -> np.ndarray:
+def _weights(degree: int, half: int, order: int) -> np.ndarray:
     """Weights of a window for derivative `order` at each of its places, (2 half + 1, 2 half + 1).
 
-    Row j is the value at place j of the polynomial of degree ORDER that fits the window best.
+    Row j is the value at place j of the polynomial that fits the window best.
     """
     x = np.arange(-half, half + 1) / half
-    basis, _ = np.linalg.qr(legendre.legvander(x, ORDER))
-    slopes = np.linalg.lstsq(legendre.legvander(x, ORDER), basis, rcond=None)[0]
+    basis, _ = np.linalg.qr(legendre.legvander(x, degree))
+    slopes = np.linalg.lstsq(legendre.legvander(x, degree), basis, rcond=None)[0]
     derived = legendre.legder(slopes, order, axis=0) if order else slopes
     return legendre.legval(x, derived).T @ basis.T / half**order
 
 
-def _local(x: np.ndarray, half: int, order: int) -> np.ndarray:
+def _local(x: np.ndarray, window: tuple[int, int], order: int) -> np.ndarray:
     """Derivative per sample^order by local polynomials; near the ends by that of the last window."""
-    weights = _windows(half, order)
-    out = np.empty(len(x))
+    (degree, half), weights = window, _weights(*window, order)
+    if degree > ORDER:
+        out = _local(x, (ORDER, HALVES[0]), order)
+    else:
+        out = np.empty(len(x))
+        out[:half] = weights[:half] @ x[: 2 * half + 1]
+        out[-half:] = weights[-half:] @ x[-2 * half - 1 :]
     out[half:-half] = np.convolve(x, weights[half][::-1], mode="valid")
-    out[:half] = weights[:half] @ x[: 2 * half + 1]
-    out[-half:] = weights[-half:] @ x[-2 * half - 1 :]
     return out
 
 
-def widest_half(x: np.ndarray, sigma: float) -> int:
-    """Return the half width of the widest window whose residual is no larger than noise of std sigma."""
-    best, level = HALVES[0], sigma**2
-    for half in HALVES:
+def widest_window(x: np.ndarray, sigma: float) -> tuple[int, int]:
+    """Return the last of `WINDOWS` whose residual, like that of all before, is no larger than noise.
+
+    Of std sigma, or as large as the first one leaves.
+    """
+    best, level = WINDOWS[len(WINDOWS) - len(HALVES)], None
+    for degree, half in WINDOWS:
         if 2 * half + 1 > len(x):
-            break
-        keep = 1.0 - float(_windows(half, 0)[half, half])
-        left = x - _local(x, half, 0)
+            continue
+        keep = 1.0 - float(_weights(degree, half, 0)[half, half])
+        left = x - _local(x, (degree, half), 0)
         inside = left[half:-half] if len(x) > 4 * half else left
         power = float(np.mean(inside**2)) / keep
-        if half == HALVES[0]:
-            level = max(level, power)
+        level = max(sigma**2, power) if level is None else level
         if power > level * (1.0 + 3.0 * np.sqrt(2.0 / len(inside))):
             break
-        best = half
+        best = degree, half
     return best
 
 

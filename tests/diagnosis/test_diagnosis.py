@@ -18,9 +18,9 @@ from hallsym.diagnosis.setup import base_of
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.families.stage.effects.field import hysteresis
-from hallsym.log import Log, extended
+from hallsym.log import Log, Noise, extended
 from hallsym.model import Model, Variant
-from hallsym.model.derived import HALVES, rate, run_time, widest_half
+from hallsym.model.derived import rate, run_time, widest_window
 from hallsym.model.effect import as_effect
 
 NAMED = (  # others are diagnosed and fitted in test_fit_effects.py
@@ -168,12 +168,25 @@ def fitted(log: Log) -> Base:
 
 def test_the_window_of_a_rate_is_as_wide_as_the_motion_allows() -> None:
     t, rng = np.arange(2000) * 0.002, np.random.default_rng(0)
-    halves = [
-        widest_half(3e-4 * np.sin(2 * np.pi * f * t) + 3e-7 * rng.standard_normal(2000), 3e-7)
+    slow, fast, faster = (
+        widest_window(3e-4 * np.sin(2 * np.pi * f * t) + 3e-7 * rng.standard_normal(2000), 3e-7)
         for f in (0.5, 5.0, 30.0)
-    ]
-    assert halves == sorted(halves, reverse=True)
-    assert halves[0] > 4 * halves[2] >= HALVES[0]
+    )
+    assert slow[1] > 2 * fast[1] > 4 * faster[1]
+
+
+@pytest.mark.parametrize(("order", "within"), [(1, 2e-3), (2, 5e-3)])
+def test_rates_of_motion_with_seven_samples_a_period_are_not_too_small(order: int, within: float) -> None:
+    """Against the derivative of the sine itself: a slope that is too small makes a lag too large."""
+    t, w, rng = np.arange(2000) * 0.006, 2 * np.pi / 0.042, np.random.default_rng(0)
+    x = 1e-4 * np.sin(w * t) + 3e-7 * rng.standard_normal(2000)
+    log = Log.from_arrays(
+        {"run": np.zeros(2000), "t_s": t, "x_ref_m": x}, Noise.given({"x_ref_m": 3e-7}, ("x_ref_m",))
+    )
+    served = extended(log, hallsym.build("stage31").with_columns(rate("x_ref_m", order)))
+    got = np.concatenate([b.data[f"d{order}_x_ref_m"] for b in served.blocks((f"d{order}_x_ref_m",))])
+    true = 1e-4 * w**order * np.sin(w * t + order * np.pi / 2)
+    assert got @ true / (true @ true) == pytest.approx(1.0, abs=within)
 
 
 def test_significance_is_honest_for_what_happens_within_a_run() -> None:
