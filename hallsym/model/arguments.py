@@ -22,8 +22,8 @@ class Facts:
     logged. `extremes`: quantiles of each reading, (n_quantiles, n_channels), high and low in turn.
     `rails`: lowest and highest value of each channel where it repeats, else -inf and inf. `lines_hz`:
     mains frequencies seen in the residuals, of `lines_tried` independent ones. `instants`: channel and
-    time [s] of a possible slip, of `instants_tried` that were compared. `on_runs`: runs in which an external
-    field may have been on, of `on_runs_tried` choices.
+    time [s] of a possible slip, of `instants_tried` that were compared, and times between which it lies.
+    `on_runs`: runs in which an external field may have been on, of `on_runs_tried` choices.
     """
 
     duration_s: float
@@ -33,7 +33,7 @@ class Facts:
     rails: tuple[tuple[float, float], ...] = ()
     lines_hz: tuple[float, ...] = ()
     lines_tried: int = 1
-    instants: tuple[tuple[int, float], ...] = ()
+    instants: tuple[tuple[int, float, float, float], ...] = ()
     instants_tried: int = 1
     on_runs: tuple[int, ...] = ()
     on_runs_tried: int = 1
@@ -48,7 +48,7 @@ def example_facts(model: Model) -> Facts:
         temperature=22.0,
         rails=tuple((-v, v) for v in rails),
         lines_hz=(50.02,),
-        instants=((0, 30.0),),
+        instants=((0, 30.0, 30.0, 30.0),),
         on_runs=(1, 3),
     )
 

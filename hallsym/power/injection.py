@@ -112,7 +112,8 @@ def _facts(truth: SimulatedMachine, rng: np.random.Generator) -> Facts:
     warm = truth.columns.get("temperature_degc")
     third = len(truth.runs) // 3
     inside = np.flatnonzero(run == rng.choice(truth.runs[third : max(2 * third, third + 1)]))
-    slip = (int(rng.integers(len(base.model.channels))), float(t[inside[len(inside) // 2]] - t[0]))
+    when = float(t[inside[len(inside) // 2]] - t[0])
+    slip = (int(rng.integers(len(base.model.channels))), when, when, when)
     return Facts(
         duration_s=max(float(t[-1] - t[0]), 1e-6),
         columns=base.log.columns,

@@ -99,9 +99,25 @@ def test_a_slip_is_put_where_it_is(runs, memory, begins, rests, holdout, earlies
     for seed in range(10):
         x = noise(np.random.default_rng(seed), memory)[:, : len(at)] + 2.0 * sensed * (at >= begins)
         # noise of a memory: a slow average of white noise varies twice that many times less
-        ((channel, instant_s),) = instants(replace(table(x), sensed=sensed), holdout, slow=2 * memory)
+        found = replace(table(x), sensed=sensed)
+        ((channel, instant_s, low, high),) = instants(found, holdout, slow=2 * memory)
         assert channel == 0
+        assert low < instant_s <= high
         assert 0.01 * earliest - 1e-9 <= instant_s <= 0.01 * latest + 1e-9
+
+
+def test_95_of_100_slips_lie_between_the_stated_times() -> None:
+    """By an independent simulation: the gain of readings with white noise of the stated size steps."""
+    n, inside, rng = 8 * SAMPLES, 0, np.random.default_rng(12)
+    sensed = np.sin(0.07 * np.arange(n))[None]
+    for _ in range(200):
+        when = int(rng.integers(4 * SAMPLES + 20, 5 * SAMPLES - 20))
+        x = rng.standard_normal((1, n)) + 0.6 * sensed * (np.arange(n) >= when)
+        found = table(x)
+        # between two samples nothing is known of when
+        ((_, _, low, high),) = instants(replace(found, sensed=sensed), holdout={2, 5}, slow=1.0)
+        inside += low <= 0.01 * (when - 0.5) <= high
+    assert 0.9 <= inside / 200 <= 1.0
 
 
 def slipped(run: int, *, gain: float) -> tuple[Log, float]:

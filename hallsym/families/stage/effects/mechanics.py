@@ -85,11 +85,11 @@ def slips(model: Model, facts: Facts) -> list[Try]:
     return [
         Try(
             {"probe": names[k], "instant_s": t},
-            f"probe {names[k]} at {t:.6g} s",
+            f"probe {names[k]} between {low:.6g} and {high:.6g} s",
             shapes=1,
             tried=facts.instants_tried,
         )
-        for k, t in facts.instants
+        for k, t, low, high in facts.instants
     ]
 
 
