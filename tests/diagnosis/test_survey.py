@@ -127,10 +127,20 @@ def test_spikes_of_five_standard_deviations_are_left_out_and_noise_is_not():
     assert kept[~spikes].mean() > 0.995
 
 
-@pytest.mark.parametrize("noise", [white, slow])
-def test_a_refit_is_as_uncertain_as_a_fit(noise):
-    log = encoder(runs=24, noise=noise)
-    result = hallsym.fit(log, "ellipse", solver="direct", loss="none", accept=["all"])
-    base = base_of(log, result)
-    std = np.sqrt(np.diag(refit(base, log.runs).covariance()))
-    assert std == pytest.approx(result.std, rel=0.1)
+def pink(rng, n):
+    """A quarter of the variance is 1/f noise, of each run its own."""
+    waves = np.fft.rfft(rng.standard_normal((2, n // SAMPLES, SAMPLES)))
+    drift = np.fft.irfft(waves / np.sqrt(np.arange(waves.shape[2]).clip(1)), SAMPLES).reshape(2, n)
+    return SIGMA * (np.sqrt(0.75) * rng.standard_normal((2, n)) + 0.5 * drift / drift.std())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [white, slow, pink])
+def test_estimates_scatter_as_much_as_a_refit_says(noise):
+    """Of five runs, too few to tell from their scatter that noise is not white."""
+    model, z = hallsym.build("ellipse"), []
+    for seed in range(40):
+        base = based(encoder(runs=5, seed=seed, noise=noise))
+        fit = refit(base, base.log.runs)
+        z.append((fit.values() - model.nominal) / np.sqrt(np.diag(fit.covariance())))
+    assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.15)
