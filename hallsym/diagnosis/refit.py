@@ -157,7 +157,7 @@ class Refitted:
                 n = part.shape[2]
                 waves = np.fft.rfft(part) / np.sqrt(n)
                 each = np.full(n // 2 + 1, 2.0)  # a frequency and its negative
-                each[0] = each[n // 2] = 1.0 + (n % 2)
+                each[n // 2] = 1.0 + (n % 2)
                 each[0] = 1.0
                 octave = np.log2(n / np.maximum(np.arange(n // 2 + 1), 0.5)).astype(int).clip(max=OCTAVES - 1)
                 for o in np.unique(octave):
