@@ -19,7 +19,7 @@ import scipy
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Claim, Fit
 from hallsym.estimation.decoding import columns_of, logged_columns, residuals
-from hallsym.estimation.factors import RunStatistics, exact, summarise, summarise_at
+from hallsym.estimation.factors import exact, summarise, summarise_at
 from hallsym.estimation.goodness_of_fit import noise_followed
 from hallsym.estimation.identifiable import determine
 from hallsym.estimation.likelihood import Cost, cost_near, cost_of
@@ -250,10 +250,6 @@ def hypotheses(model: Model, columns: Sequence[str], worst: Sequence[str]) -> It
 # -- how it is tried ---------------------------------------------------------------------------------------
 
 
-_Key = tuple[bytes, tuple[int, ...] | None, bool]
-"""Parameters of a tangent, runs, and whether these are read as one: of what is kept."""
-
-
 @dataclass(eq=False)
 class Trials:
     """A log in which corrections are tried: columns of whole runs as they were logged, and samples picked."""
@@ -262,7 +258,6 @@ class Trials:
     model: Model
     noise: Noise
     _last: dict[object, Log] = field(default_factory=dict, init=False)
-    _known: dict[_Key, Read] = field(default_factory=dict, init=False)
     _noise: dict[str, dict[int, float]] = field(default_factory=dict, init=False)
 
     @cached_property
@@ -373,51 +368,6 @@ class Trials:
         self._last = {key: as_continuous(Log.from_arrays(arrays, noise, self.given.meta))}
         return self._last[key]
 
-    def read(
-        self,
-        corrections: Sequence[Correction],
-        runs: Sequence[int] | None,
-        p: np.ndarray | None = None,
-        *,
-        merged: bool = False,
-    ) -> Read:
-        """Return what is read of some runs without mistakes.
-
-        Where each sample is put right by itself, by a factor, the statistics are; the log is not read again.
-        `p`: parameters (n,) of the tangent that a model without run statistics is read by, its runs as one
-        where they are `merged`.
-        """
-        at, own = (b"", None) if p is None else (p.tobytes(), runs)
-        if any(known[0] != at for known in self._known):
-            self._known.clear()
-        key = at, tuple(own) if own else None, merged
-        if key not in self._known:
-            self._known[key] = self._read((), own, p, merged=merged)
-        found = self._known[key]
-        for one in corrections:
-            sources = one.mistake.sources(one)
-            of_all = not one.runs or (runs is not None and {*runs} <= {*one.runs})
-            by_itself = sources and of_all and not {*self.model.period} & {*sources}
-            changed = found.corrected(one, sources, runs) if by_itself else None
-            if changed is None:
-                return self._read(corrections, runs, p, merged=merged)
-            found = changed
-        return found if runs is None or p is not None else found.of(runs)
-
-    def _read(
-        self,
-        corrections: Sequence[Correction],
-        runs: Sequence[int] | None,
-        p: np.ndarray | None = None,
-        *,
-        merged: bool = False,
-    ) -> Read:
-        log = self.log(corrections, runs, merged=merged)
-        summary = (
-            summarise(log, self.model) if p is None else summarise_at(log, self.model, p, {}, log.noise.std)
-        )
-        return Read(summary, log.noise, _within(log, self.model), log)
-
     def fitted(
         self,
         corrections: Sequence[Correction] = (),
@@ -449,18 +399,18 @@ class Trials:
                 return self.at(corrections, state.p, runs)
             within = _within(log, self.model)
             return Tried(corrections, state.fitted, state.p, self.model, within, log)
-        read = self.read(corrections, runs)
-        merged = cost_of(read.summary.merged(), read.noise.std)
+        log = self.log(corrections, runs)
+        summary = summarise(log, self.model)
+        within, merged = _within(log, self.model), cost_of(summary.merged(), log.noise.std)
         linear = linear_fit(merged)
         first = np.clip(closed_form(merged, linear), *self.model.bounds)
         if not closely:
-            within = read.summary.counts[None] @ read.within / merged.summary.counts[0]
-            return Tried(corrections, merged, first, self.model, within, read.log)
+            within = summary.counts[None] @ within / merged.summary.counts[0]
+            return Tried(corrections, merged, first, self.model, within, log)
         found = determine(merged, first)
         first, fixed = found.begin(self.model, first), found.not_free
         p = refit(merged, first, fixed, CLOSELY, STEPS_TRIED) if len(fixed) < len(first) else first
-        cost = cost_of(read.summary, read.noise.std)
-        return Tried(corrections, cost, p, self.model, read.within, read.log)
+        return Tried(corrections, cost_of(summary, log.noise.std), p, self.model, within, log)
 
     def at(
         self,
@@ -472,55 +422,17 @@ class Trials:
     ) -> Tried | None:
         """Judge some runs without mistakes at parameters (n,), as one where they are `merged`."""
         try:
-            if exact(self.model) or self.runs_merge:
-                read = self.read(corrections, runs, p if self.runs_merge else None, merged=merged)
-                cost = cost_of(read.summary, read.noise.std)
-                return Tried(tuple(corrections), cost, p, self.model, read.within, read.log)
-            log = self.log(corrections, runs)
-            cost = cost_near(log, self.model, p, log.noise.std, rounds=SETTLING if self.model.offsets else 1)
+            log = self.log(corrections, runs, merged=merged)
+            std, rounds = log.noise.std, SETTLING if self.model.offsets else 1
+            if exact(self.model):
+                cost = cost_of(summarise(log, self.model), std)
+            elif self.runs_merge:
+                cost = cost_of(summarise_at(log, self.model, p, {}, std), std)
+            else:
+                cost = cost_near(log, self.model, p, std, rounds=rounds)
             return Tried(tuple(corrections), cost, p, self.model, _within(log, self.model), log)
         except (InputError, np.linalg.LinAlgError):
             return None
-
-
-@dataclass(frozen=True, eq=False)
-class Read:
-    """Runs as a model with run statistics reads them.
-
-    `within`: variance of each reading within each run, (runs, readings). `log`: the samples themselves.
-    """
-
-    summary: RunStatistics
-    noise: Noise
-    within: np.ndarray
-    log: Log
-
-    def of(self, runs: Sequence[int]) -> Read:
-        """Return some of the runs; the log stays whole."""
-        some = [run for run in self.summary.runs if run in runs]
-        if not some:
-            raise InputError("No sample would be left; leave that correction out.")
-        return replace(
-            self, summary=self.summary.select(some), within=self.within[np.isin(self.summary.runs, some)]
-        )
-
-    def corrected(
-        self, one: Correction, sources: Mapping[str, tuple[str, float]], runs: Sequence[int] | None
-    ) -> Read | None:
-        """Return the same without a mistake; None where the statistics do not follow it."""
-        summary = self.summary.from_sources(sources)
-        if summary is None:
-            return None
-        noise = one.noise_of(self.noise, runs)
-        for c in one.columns:
-            source, factor = sources[c]
-            x = self.log.array(source)
-            if c in noise and noise[c].value > MOST_NOISE * abs(factor) * float(np.ptp(x)):
-                raise InputError(f"Column {c} would hold noise alone; leave that correction out.")
-        channels = self.summary.model.channels
-        logged = [sources.get(c, (c, 1.0)) for c in channels]
-        within = self.within[:, [channels.index(c) for c, _ in logged]] * [f**2 for _, f in logged]
-        return replace(self, summary=summary, noise=noise, within=within)
 
 
 def _within(log: Log, model: Model) -> np.ndarray:

@@ -102,48 +102,6 @@ class RunStatistics:
         arrays: dict[str, Any] = {name: getattr(self, name)[index] for name in BY_RUN}
         return replace(self, runs=tuple(self.runs[k] for k in index), places=places, **arrays)
 
-    def from_sources(self, sources: Mapping[str, tuple[str, float]]) -> "RunStatistics | None":
-        """Return the statistics of the same samples whose columns hold those of others, times a factor.
-
-        None where the features are no monomials of these columns, or a corrected one is no feature.
-        """
-        model, powers, columns = self.model, self.features.exponents, self.logged
-        taken = [sources.get(c, (c, 1.0)) for c in columns]
-        sources_of = [sources.get(c, (c, 1.0)) for c in model.channels]
-        if any(c not in columns for c, _ in taken) or any(c not in model.channels for c, _ in sources_of):
-            return None
-        n = self.features.size
-        readings, gains = [n + model.channels.index(c) for c, _ in sources_of], [f for _, f in sources_of]
-        if not {*columns} & {*sources}:  # the features stay, tangents too
-            triangles = self.triangles.copy()
-            triangles[:, :, n:] = self.triangles[:, :, readings] * gains
-            return replace(self, triangles=triangles)
-        if powers.shape[1] > len(columns) or self.places:
-            return None
-        origin = np.arange(powers.shape[1])
-        origin[: len(columns)] = [columns.index(c) for c, _ in taken]
-        factor = np.array([f for _, f in taken] + [1.0] * (powers.shape[1] - len(columns)))
-        known = {tuple(row): j for j, row in enumerate(powers[:, origin].tolist())}
-        place = [known.get(tuple(row), -1) for row in powers.tolist()]
-        refs, k = len(model.references), self.features.n_zero
-        if min(place) < 0 or max(place[:k], default=-1) >= k or (origin[refs : len(columns)] < refs).any():
-            return None
-        size = np.prod(factor**powers, axis=1)
-        column, i, j = self.features.slope_pairs
-        at = np.array(place)
-        pairs = {tuple(pair): n for n, pair in enumerate(np.transpose([column, i, j]).tolist())}
-        low, high = np.minimum(at[i], at[j]), np.maximum(at[i], at[j])
-        here = [pairs[tuple(pair)] for pair in np.transpose([origin[column], low, high]).tolist()]
-        state = origin[refs : len(columns)] - refs, factor[refs : len(columns)]
-        return replace(
-            self,
-            centre=factor * self.centre[origin],
-            triangles=self.triangles[:, :, [*place, *readings]] * [*size, *gains],
-            slopes=self.slopes[:, here] * (size[i] * size[j] / factor[column] ** 2),
-            first_state=self.first_state[:, state[0]] * state[1],
-            mean_state=self.mean_state[:, state[0]] * state[1],
-        )
-
     @property
     def logged(self) -> tuple[str, ...]:
         """The columns that the features are made of."""
