@@ -6,7 +6,7 @@ over the noise floor decides. Mistakes of single runs are tried at the parameter
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
@@ -28,7 +28,7 @@ from hallsym.estimation.task import noise_of, silent
 from hallsym.families.recording import Correction, as_corrections, corrected_run, said, scales
 from hallsym.log import Log, Noise
 from hallsym.log.batches import batches
-from hallsym.log.columns import RUN, is_moving
+from hallsym.log.columns import RUN, is_moving, run_list
 from hallsym.log.core import Block
 from hallsym.log.derived import extended
 from hallsym.log.estimate import estimate_noise
@@ -178,6 +178,12 @@ ORDERED = 3
 def claim(found: Found) -> Claim:
     """Return a mistake as a claim; without a correction where the log does not single one out."""
     c, rivals = found.correction, tuple(other.text for other in found.rivals)
+    if not found.explains:
+        text = (
+            f"One calibration describes all runs but {run_list(c.runs)}, and no mistake that was tried "
+            f"explains these: look at what they hold, or leave them out with --holdout {run_list(c.runs)}."
+        )
+        return Claim("odd_runs", text, runs=c.runs)
     share = f"explains {100 * found.explains:.0f} % of what the model leaves"
     also = f"; {_listed(rivals)} would do as well" if rivals else ""
     remedy = f"undo it with --correct '{c.text}'"
@@ -592,15 +598,6 @@ DIFFERENT = 3
 """Mistakes of runs that are named in one log, at most."""
 
 
-Key = tuple[str, tuple[str, ...]]
-"""Kind and columns of a mistake."""
-
-
-def key(c: Correction) -> Key:
-    """Return what mistakes of several runs may have in common."""
-    return c.kind, c.columns
-
-
 @dataclass(frozen=True, eq=False)
 class Found:
     """A correction, what it explains of the excess, and those that explain as much.
@@ -630,8 +627,9 @@ def suspects(trials: Trials) -> list[Found]:
 def _of_some_runs(trials: Trials, base: Tried) -> list[Found]:
     """Return the mistakes of runs that others do not foresee.
 
-    Of several ways to divide the runs the one with the fewest mistakes, then the likeliest; none where a fit
-    without them is not explained. The noise is that of the runs that agree.
+    Of several ways to divide the runs the one with the fewest mistakes, then the likeliest. Where none is
+    explained, few runs that no others foresee, which explain nothing. The noise is that of the runs that
+    agree.
     """
     divided = _divisions(trials, base)
     noise = (noise_followed(one.log, one.cost.at(one.p), trials.noise) for one in divided.values())
@@ -648,6 +646,9 @@ def _of_some_runs(trials: Trials, base: Tried) -> list[Found]:
         after = trials.fitted([one.correction for one in some]) if some else None
         if after is not None and after.left and _explains(base, after):
             explained.append((len(some), after.mean(after.deviance), some))
+    few = (odd for odd, agreed in divided.items() if len(odd) <= DIFFERENT and _excess(agreed) <= may_stay)
+    if not explained and (odd := min(few, key=len, default=())):
+        return [Found(Correction("other_device", runs=odd), 0.0)]
     found = min(explained, key=lambda one: one[:2], default=(0, 0.0, []))[2]
     alone = [
         one.correction for *_, some in explained for one in some if one.correction.kind == "other_device"
@@ -781,12 +782,10 @@ def _best(
     tried: Callable[[Correction], Tried | None],
     screened: Callable[[Correction], float],
     runs: Sequence[int],
-    known: Set[Key] = frozenset(),
 ) -> Found | None:
     """Return the mistake that explains the excess of `base` in some runs best; None where none does.
 
-    `screened`: the share of what is left that a correction leaves about; the best are `tried`. `known`: what
-    is tried alone, where there is any.
+    `screened`: the share of what is left that a correction leaves about; the best are `tried`.
     """
     before = base.mean(base.deviance, runs)
     seen: list[Judged] = []
@@ -797,9 +796,9 @@ def _best(
         return found.mean(found.deviance, runs) if found is not None and found.left else np.inf
 
     @cache
-    def without_ends(c: Correction) -> float:
-        """Return the deviance of the samples that a delay or a mean leaves, as they are."""
-        value = deviance(c)
+    def without_ends(samples: int) -> float:
+        """Return the deviance without three times as many samples at either end, as the others are."""
+        value = deviance(Correction("averaged", numbers=(2.0 * samples,)))
         return value if np.isfinite(value) else before
 
     def judge(c: Correction) -> None:
@@ -810,7 +809,7 @@ def _best(
         left = found.mean(found.left, runs)
         if c.mistake.keeps and left > CUT_OFF:  # a noise that is larger is not all that is wrong
             return
-        same = without_ends(replace(c, columns=())) if c.kind in STEPS else before
+        same = without_ends(_reach(c)) if c.kind in STEPS else before
         inside = _inside(trials, found, c, runs) if c.kind == "clipped" else 0.0
         after = found.mean(found.deviance, runs) + inside + trials.quieter(c, runs)
         one = Judged(same, after, left + inside, c)
@@ -832,8 +831,9 @@ def _best(
         equal = [one for one in good if one.after - best.after < close]
         return equal, min(equal, key=lambda one: (assumes(one), one.after)), close
 
-    plain = hypotheses(trials.model, trials.columns, base.worst(runs))
-    more = [c for c in (*plain, *of_samples(trials, base, known)) if not known or key(c) in known]
+    more = [
+        *hypotheses(trials.model, trials.columns, base.worst(runs)), *of_samples(trials, base)
+    ]  # fmt: skip
     while more:
         shares |= {c: screened(c) for c in more}
         more = _closer(trials.model, shares)
@@ -881,6 +881,11 @@ def _best(
     )  # fmt: skip
     single = not any(one.correction in other and assumes(one) == assumes(first) for one in others)
     return Found(first.correction, min(first.explains, 1.0), rivals, single)
+
+
+def _reach(c: Correction) -> int:
+    """Return a third of the samples at either end that a delay or a mean touches."""
+    return max(round(c.numbers[0]) // 2 if c.kind == "averaged" else -(-abs(round(c.numbers[0])) // 3), 1)
 
 
 def _close(base: Tried, runs: Sequence[int], left: float) -> float:
@@ -959,21 +964,21 @@ def _least(about: Correction, deviance: Callable[[Correction], float]) -> Correc
 def _in_runs(trials: Trials, base: Tried, odd: Sequence[int]) -> list[Found]:
     """Return the mistakes of runs that do not go with the others: of all together, else of each by itself.
 
-    `base`: what the others agree on. What was found in one run is tried first in the next.
+    `base`: what the others agree on.
     """
     p, out = base.p, list[Found]()
 
-    def look(runs: list[int], known: Set[Key] = frozenset()) -> Found | None:
+    def look(runs: list[int]) -> Found | None:
         now = trials.at((), p, runs)
         if now is None or not now.left:
             return None
         tried = cache(lambda c: trials.at((_of(c, runs),), p, runs))
         screen = _screen(trials, now, runs, free=False)
-        found = _best(trials, now, tried, lambda c: screen(_of(c, runs)), runs, known)
+        found = _best(trials, now, tried, lambda c: screen(_of(c, runs)), runs)
         after = found and trials.at((_of(found.correction, runs),), p, runs)
         if not found or not after:
             return None
-        most = {r: EXCESS if known else 1 + (1 - EXPLAINS) * max(now.left[r] - 1, 0.0) for r in runs}
+        most = {r: 1 + (1 - EXPLAINS) * max(now.left[r] - 1, 0.0) for r in runs}
         good = [r for r in runs if after.left.get(r, 0.0) < most[r]]
         if not good:
             return None
@@ -989,15 +994,10 @@ def _in_runs(trials: Trials, base: Tried, odd: Sequence[int]) -> list[Found]:
         out.append(found)
         left = [r for r in left if r not in found.correction.runs]
     if len(left) > 1 and len(out) < DIFFERENT:
-        searched, lost = 0, 0.0
+        lost = 0.0
         for r in sorted(left, key=lambda r: over.get(r, 0.0), reverse=True):
-            known = {key(c) for one in out for c in (one.correction, *one.rivals)}
-            found = look([r], known) if known else None
-            if found is None and searched < SEARCHED:
-                found, searched = look([r]), searched + 1
-            if found:
+            if found := look([r]):
                 out.append(found)
-                left.remove(r)
             elif (lost := lost + over.get(r, 0.0)) > may_stay:
                 break
     after = trials.at([one.correction for one in out], p, odd)
@@ -1115,23 +1115,20 @@ PILED = 3.0
 at the next, of a column that stops there: a sine has 2.4."""
 
 
-def of_samples(trials: Trials, tried: Tried, known: Set[Key] = frozenset()) -> Iterator[Correction]:
-    """Yield the mistakes that begin or end within a run, where the columns or the residual show them.
-
-    `known`: those alone whose size takes fits to find, where there are any.
-    """
+def of_samples(trials: Trials, tried: Tried) -> Iterator[Correction]:
+    """Yield the mistakes that begin or end within a run, where the columns or the residual show them."""
     runs = list(tried.left)
     yield from _turns(trials, runs)
     yield from _rails(trials, runs)
     yield from _coarse(trials, runs)
     if len(runs) == 1:
-        yield from _steps(trials, tried, runs, known, within=True)
+        yield from _steps(trials, tried, runs, within=True)
     if len(runs) < len(trials.spans):
-        yield from _steps(trials, tried, runs, known, within=False)
+        yield from _steps(trials, tried, runs, within=False)
 
 
 SEARCHED = 6
-"""Runs, and readings, that are looked at one by one, at most."""
+"""Readings that are looked at one by one, at most."""
 
 
 def _turns(trials: Trials, runs: Sequence[int]) -> Iterator[Correction]:
@@ -1192,9 +1189,7 @@ AGAIN = 2
 """Samples of each value, at least, of a column that comes in steps: one of constant speed holds each once."""
 
 
-def _steps(
-    trials: Trials, tried: Tried, runs: Sequence[int], known: Set[Key], *, within: bool
-) -> Iterator[Correction]:
+def _steps(trials: Trials, tried: Tried, runs: Sequence[int], *, within: bool) -> Iterator[Correction]:
     """Yield, for each column, the step of its zero and of its gain that the residual of some runs shows best.
 
     `within`: from some sample of a run on, else all through the runs. The size is found by Gauss-Newton.
@@ -1203,8 +1198,6 @@ def _steps(
         if c not in trials.columns:
             continue
         for kind in ("zero_moved", "gain_step") if within else ("gain_step",):
-            if known and (kind, (c,)) not in known:
-                continue
             found = _step(trials, tried, c, kind, runs, within=within)
             if found is not None:
                 yield found

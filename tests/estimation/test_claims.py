@@ -15,8 +15,6 @@ from twins import COLUMNS, HALL, SIGMAS, record, same, six_runs, with_noise
 from hallsym.errors import InputError
 from hallsym.estimation import claims, fit, optimum
 from hallsym.estimation.claims import mistakes_of
-from hallsym.estimation.likelihood import cost_of
-from hallsym.estimation.task import noise_of
 from hallsym.families import build, published
 from hallsym.families.recording import Correction, as_corrections, corrected, read_correction
 from hallsym.log import Log, Meta, Noise, Sigma
@@ -397,20 +395,6 @@ def test_a_trial_beyond_numbers_does_not_end_the_search(inverted, monkeypatch):
     )
     assert [one.correction for one in mistakes_of(r.log, r.built)] == [right]
     assert len(tried) == 2
-
-
-def test_readings_of_a_tangent_are_put_right_without_another_pass(inverted):
-    """The same squares as from the log that is corrected and read again."""
-    r = inverted.recording
-    trials = claims.Trials(r.log, r.built, noise_of(r.log, r.built))
-    a, b = r.readings[:2]
-    p = r.built.nominal
-    for c in (Correction("sign", (a,)), Correction("exchange", (a, b)), Correction("scale", (b,), (0.1,))):
-        quick = trials.at((c,), p, None, merged=True)
-        again = trials._read((c,), None, p, merged=True)
-        found = cost_of(again.summary, again.noise.std).at(p)
-        assert quick.cost.at(p).value == pytest.approx(found.value, rel=1e-9)
-        assert np.allclose(quick.within, again.within, rtol=1e-9)
 
 
 @pytest.mark.slow

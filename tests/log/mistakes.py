@@ -184,11 +184,28 @@ def one_number_for(first: int, second: int) -> Make:
     return make
 
 
-def slower(column: str, times: int) -> Make:
-    """Record a column at a lower rate than the others."""
-    return lambda arrays: {
-        **arrays, column: np.repeat(arrays[column][::times], times)[: len(arrays[column])]
-    }  # fmt: skip
+def slower(column: str, times: int, *, lines: bool = False) -> Make:
+    """Record a column at a lower rate than the others; `lines`: interpolated between its samples."""
+
+    def make(arrays: Arrays) -> Arrays:
+        x = arrays[column]
+        at = np.arange(len(x)) / times
+        return {**arrays, column: np.interp(at if lines else np.floor(at), at[::times], x[::times])}
+
+    return make
+
+
+def traded(columns: tuple[str, ...], one: int, other: int) -> Make:
+    """Give each of two runs of one length columns of the other."""
+
+    def make(arrays: Arrays) -> Arrays:
+        a, b = (of_run(run)(arrays) for run in (one, other))
+        out = {**arrays, **{c: arrays[c].copy() for c in columns}}
+        for c in columns:
+            out[c][a], out[c][b] = arrays[c][b], arrays[c][a]
+        return out
+
+    return make
 
 
 def of(on: tuple[str, ...], found: Literal["log", "fit"], ends: Ends, rows: Mapping[str, tuple[Make, str]]):
@@ -248,6 +265,8 @@ FIT = (
         "8 % on the rails, with noise": (rails(("hall_a_m",), 0.08, noise=5e-7), _RAILS),
         "a reference at a tenth of the rate": (slower("x_ref_m", 10),
                                                r"x_ref_m .* about 10 times.* record all columns at one rate"),
+        "an interpolated reference": (slower("x_ref_m", 10, lines=True),
+                                      r"x_ref_m .* lines of about 10 samples.*: it was recorded at a lower rate"),
         "y inverted": (by(-1, "y_ref_m"), undone_by("sign y_ref_m")),
         "all readings inverted": (by(-1, *READINGS), r"'sign x_ref_m,.*' would do as well; "
                                   + undone_by("sign hall_a_m,hall_b_m,hall_c_m")),
@@ -258,6 +277,7 @@ FIT = (
         "turns for rad": (by(1 / _TURN, "angle_ref_rad"), _UNIT.format("rev")),
         "gradians for rad": (by(400 / _TURN, "angle_ref_rad"), _UNIT.format("grad")),
         "counts of another resolution": (by(lambda a: a % _TURN / 4, "angle_ref_rad"), _UNIT.format("4")),
+        "references of two runs": (traded(("angle_ref_rad",), 1, 3), r"all runs but 1,3, .* --holdout 1,3"),
         "a reference that stands in one run": (by(0, "angle_ref_rad", run=1),
                                                r"--correct 'clipped angle_ref_rad .* inf"),
     }),

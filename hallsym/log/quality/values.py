@@ -26,6 +26,10 @@ from hallsym.log.quality.scan import (
 from hallsym.units import Array, si_symbol
 
 _CHANGES = 16
+_BENT = 1e-3
+"""Differences over the largest that are due to rounding in a file of single precision."""
+_HELD = {1: "repeats each value about {:.0f} times", 2: "goes along lines of about {:.0f} samples"}
+"""Order of the differences that are zero between samples, and how such a column looks."""
 _EVENLY = 0.8
 """Share of the changes of a column that come after the usual number of samples, or one more or less, of one
 that is recorded at a lower rate: a coarse converter changes as fast as the motion."""
@@ -37,15 +41,18 @@ def repeated(log: Log, columns: Iterable[str]) -> Iterator[Fault]:
     An axis that steps from rest to rest looks the same; where a model describes the log there is no claim.
     """
     for name in filter(is_moving, columns):
-        first = next(log.blocks((name,)))
-        lasts = np.diff(np.flatnonzero(np.diff(first.data[name])))
-        usual = float(np.median(lasts)) if len(lasts) >= _CHANGES else 0.0
-        if usual >= 2 and np.mean(np.abs(lasts - usual) <= 1) > _EVENLY:
-            yield Fault(
-                f"{the(log, name)} repeats each value about {usual:.0f} times: it was recorded at a lower "
-                "rate than the others, which looks like a delay; record all columns at one rate.",
-                "low_rate", (name,),
-            )  # fmt: skip
+        x = next(log.blocks((name,))).data[name]
+        for order, how in _HELD.items():
+            step = np.abs(np.diff(x, order))
+            lasts = np.diff(np.flatnonzero(step > _BENT * step.max(initial=0.0)))
+            usual = float(np.median(lasts)) if len(lasts) >= _CHANGES else 0.0
+            if usual >= 2 and np.mean(np.abs(lasts - usual) <= 1) > _EVENLY:
+                yield Fault(
+                    f"{the(log, name)} {how.format(usual)}: it was recorded at a lower "
+                    "rate than the others, which looks like a delay; record all columns at one rate.",
+                    "low_rate", (name,),
+                )  # fmt: skip
+                break
 
 
 _CHANCE = 1e-6
