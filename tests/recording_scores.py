@@ -296,6 +296,16 @@ def heals(m: Mistaken, text: str) -> bool:
     return same_columns or harm(fit, r, r.true) <= HARMED
 
 
+def _among(rivals: Sequence[str], right: str) -> bool:
+    """Whether a right correction is among those that the log cannot tell apart, its factor in their range."""
+    it, found = correction(right), [correction(text) for text in rivals]
+    factors = [
+        one.numbers[0] for one in found
+        if one.name == it.name == "scale" and (one.columns, one.runs) == (it.columns, it.runs)
+    ]  # fmt: skip
+    return len(factors) > 1 and min(factors) <= it.numbers[0] <= max(factors)
+
+
 def verdict(m: Mistaken, out: Outcome) -> str:
     """right | rival | equal | wrong: a correction is named; noticed: none; harmless | consistent | silent."""
 
@@ -309,6 +319,8 @@ def verdict(m: Mistaken, out: Outcome) -> str:
         if is_right(out.first):
             return "right"
         return "rival" if any(map(is_right, rivals)) else "equal" if heals(m, out.first) else "wrong"
+    if any(_among(c["rivals"] or (), right) for c in out.claims for right in m.right):
+        return "rival"
     if not m.right and any(set(c["columns"] or ()) & set(m.columns) for c in out.claims):
         return "right"
     if out.ends != "0" or out.claims:

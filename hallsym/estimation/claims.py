@@ -186,6 +186,11 @@ def claim(found: Found) -> Claim:
         return Claim("odd_runs", text, runs=c.runs)
     share = f"explains {100 * found.explains:.0f} % of what the model leaves"
     also = f"; {_listed(rivals)} would do as well" if rivals else ""
+    factors = sorted(
+        other.numbers[0] for other in (c, *found.rivals) if c.kind == "scale" and _same(other, c)
+    )
+    if len(factors) > 2:
+        also = f"; factors from {factors[0]:.4g} to {factors[-1]:.4g} would do as well"
     remedy = f"undo it with --correct '{c.text}'"
     if not found.single:
         remedy = "each gives another calibration, so state the one that the recorder tells with --correct"
@@ -385,11 +390,8 @@ class Trials:
 
         Not `closely`: where the fit begins, all runs as one.
         """
-        # of runs that are noisier than others by a mistake, the others tell the parameters
-        known = [replace(c, kind="other_device", columns=(), numbers=()) if c.runs and c.mistake.keeps else c
-                 for c in corrections]  # fmt: skip
         try:
-            return self._fitted(tuple(known), runs, closely)
+            return self._fitted(tuple(corrections), runs, closely)
         except (InputError, np.linalg.LinAlgError):
             return None
 
@@ -494,18 +496,15 @@ class Tried:
         return dict(zip(summary.runs, (values / K).tolist(), strict=True))
 
     def rest(self, after: Tried | None) -> float:
-        """Return the share of what is left that is left after a correction.
+        """Return the share of what is left, squares over the noise, that is left after a correction.
 
-        Of the squares over the noise; of a scale, which scales an estimated noise too, of the variance. All
-        of it where a delay or a mean keeps few samples.
+        All of it where a delay or a mean keeps few samples.
         """
         if after is None or not after.left:
             return np.inf
         few = sum(after.counts.values()) <= KEEPS * sum(self.counts.values())
         if few and any(one.kind in STEPS for one in after.corrections):
             return np.inf
-        if any(one.kind == "scale" for one in after.corrections):
-            return float(after.shares[0].mean() / self.shares[0].mean())
         return after.mean(after.left) / max(self.mean(self.left), 1e-300)
 
     @cached_property
@@ -692,11 +691,9 @@ def _follows(base: Tried, after: Tried) -> bool:
     if all(one.mistake.keeps for one in after.corrections):
         return True
     (before, noise), (left, noise_after) = base.shares, after.shares
-    # what scales nothing down may make a reading that only jumped one at rest
-    plain = all(one.mistake.factor(one) == 1.0 and not one.mistake.sources(one) for one in after.corrections)
-    moved = (np.maximum if plain else np.minimum)(noise, noise_after) < AT_REST
+    moved = np.minimum(noise, noise_after) < AT_REST
     if not moved.any():
-        return plain
+        return False
     most = (1 - EXPLAINS) * before[moved].mean() + 2 * noise[moved].mean()
     return bool(left[moved].mean() <= min(most, UNEXPLAINED + 2 * noise_after[moved].mean()))
 
@@ -858,10 +855,9 @@ def _best(
         for c in (c for c in shares if _same(c, first.correction) and c not in judged):
             judge(c)
         equal, first, close = chosen()
-    if searched(first):
-        for by in (-KNOWN, KNOWN):
-            c = first.correction
-            judge(replace(c, numbers=(c.numbers[0] * (1 + by),)))
+    if searched(first):  # how far the factor may be off, either way
+        for ratio, n in product((1 + KNOWN, 1 - KNOWN), range(FAR)):
+            judge(replace(first.correction, numbers=(first.correction.numbers[0] * ratio ** (2**n),)))
         equal, first, close = chosen()
     at = tried(first.correction)
 
@@ -891,8 +887,7 @@ def _reach(c: Correction) -> int:
 def _close(base: Tried, runs: Sequence[int], left: float) -> float:
     """Return by how much deviances of a reading may differ between corrections that do as well."""
     samples = max(sum(base.counts[r] for r in runs), 1.0)
-    chance = CHANCE * np.sqrt(2 / (samples * len(base.model.channels)))
-    return float(max(RIVAL / samples, NEAR * max(left, 1.0), chance))
+    return float(max(RIVAL / samples, NEAR * max(left, 1.0)))
 
 
 def _good(one: Judged) -> bool:
@@ -942,8 +937,8 @@ ALTERED = 2.0
 """Factor below which a scale that is none of a unit may be the machine's own: a reference's, a wavelength."""
 REACH = 1.6
 """Logarithm of the factors that are tried about the best scale, either way."""
-KNOWN = 0.01
-"""Part of a factor within which it must be known to be stated."""
+KNOWN, FAR = 0.01, 7
+"""Part of a factor within which it must be known to be stated, and how often that is doubled at most."""
 
 
 def _least(about: Correction, deviance: Callable[[Correction], float]) -> Correction:
@@ -1208,8 +1203,6 @@ def _step(
 ) -> Correction | None:
     gain = kind == "gain_step"
     size, since = (1.0 if gain else 0.0), _place(tried, column, runs, gain=gain) if within else 0
-    if within and since <= STILL:  # at the first sample that is looked at it is of the whole run, as play is
-        return None
     at: Tried | None = tried
     for _ in range(ROUNDS):
         change = _change(at, column, runs, since, gain=gain) if at else np.nan

@@ -266,7 +266,7 @@ FIT = (
         "a reference at a tenth of the rate": (slower("x_ref_m", 10),
                                                r"x_ref_m .* about 10 times.* record all columns at one rate"),
         "an interpolated reference": (slower("x_ref_m", 10, lines=True),
-                                      r"x_ref_m .* lines of about 10 samples.*: it was recorded at a lower rate"),
+                                      r"x_ref_m .* lines of about 10 samples.* record all columns"),
         "y inverted": (by(-1, "y_ref_m"), undone_by("sign y_ref_m")),
         "all readings inverted": (by(-1, *READINGS), r"'sign x_ref_m,.*' would do as well; "
                                   + undone_by("sign hall_a_m,hall_b_m,hall_c_m")),
