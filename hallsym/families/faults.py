@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hallsym.families.cordic import CHIP_STEPS, cordic_angle, worst_of
+from hallsym.families.recording import MISTAKES, Correction
 from hallsym.log.phase import wrapped
 
 Size = dict[str, tuple[float, str]]
@@ -188,32 +189,25 @@ def inject_rails(r: Recording, draw: Draw) -> Injection | str:
 # -- wires -------------------------------------------------------------------------------------------------
 
 
-def _wired(change: Callable[[np.ndarray, list[int], int], None], said: Callable) -> Inject:
-    """Return how readings (K, rows) are changed in place, by two channels of a pair and one channel."""
+def _wired(kind: str) -> Inject:
+    """Return how two channels of a pair are exchanged, or the sign of one is inverted."""
 
     def inject(r: Recording, draw: Draw) -> Injection | str:
         if r.decoded:
             return "one channel has no wires to mix up"
         rng = draw("wiring")
         pair = np.sort(rng.choice(len(r.clean), 2, replace=False)).tolist()
-        one = int(rng.integers(len(r.clean)))
+        at = pair if MISTAKES[kind].pair else [int(rng.integers(len(r.clean)))]
+        wires = Correction(kind, tuple(r.channels[k] for k in at))
 
         def make(_: float, noise: Noisy) -> np.ndarray:
-            out = r.clean + noise
-            change(out, pair, one)
-            return out
+            out = dict(zip(r.channels, r.clean + noise, strict=True))
+            wires.undo(out, 0)
+            return np.array([out[c] for c in r.channels])
 
-        return Injection(said(r.channels, pair, one), make, lambda _: {}, sized=False)
+        return Injection(" and ".join(wires.columns), make, lambda _: {}, sized=False)
 
     return inject
-
-
-def _swap(out: np.ndarray, pair: list[int], one: int) -> None:
-    out[pair] = out[pair[::-1]]
-
-
-def _invert(out: np.ndarray, pair: list[int], one: int) -> None:
-    out[one] *= -1
 
 
 REWIRE = "put the wiring right, or fit with --correct 'exchange A B', --correct 'sign A'."
@@ -235,10 +229,9 @@ FAULTS = {
                        "range of angles, so that no correction takes more than a few percent off.",
                        _chip, of_values=True),
         RecordingFault("channel_swap", "electronics", "two channels exchanged", REWIRE,
-                       _wired(_swap, lambda names, pair, one: " and ".join(names[k] for k in pair)),
-                       assignment=True),
+                       _wired("exchange"), assignment=True),
         RecordingFault("sign_inversion", "electronics", "a channel of the other sign", REWIRE,
-                       _wired(_invert, lambda names, pair, one: names[one]), assignment=True),
+                       _wired("sign"), assignment=True),
     )
 }  # fmt: skip
 """By name: faults that a diagnosis may find and no fit can model."""

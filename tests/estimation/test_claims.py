@@ -138,7 +138,7 @@ def test_nothing_is_claimed_of_logs_without_a_mistake():
 
 @pytest.mark.slow
 def test_claims_of_at_most_one_per_cent_of_logs_without_a_mistake():
-    assert len(claimed(range(100, 300))) <= 2
+    assert len(claimed(range(100, 200))) <= 1
 
 
 @pytest.mark.parametrize("column", ["x_ref_m", "rz_ref_rad", "hall_b_m", "z_m", "ry_rad"])
@@ -180,16 +180,6 @@ def test_spikes_do_not_look_like_another_run():
 
 
 # -- what is claimed ---------------------------------------------------------------------------------------
-
-
-def test_two_explanations_are_both_named(six):
-    wrong = log_of(six | {c: -six[c] for c in HALL})
-    (claim,) = mistakes_of(wrong, build("stage31"))
-    halls, references = "sign hall_a_m,hall_b_m,hall_c_m", "sign x_ref_m,y_ref_m,rz_ref_rad"
-    assert references in (claim.correction, *claim.rivals)
-    assert halls in (claim.correction, *claim.rivals)
-    for text in (halls, references):
-        assert fit(wrong, "stage31", solver="direct", corrections=[text]).claims == ()
 
 
 @pytest.mark.slow
@@ -374,14 +364,9 @@ def test_a_log_that_a_model_with_computed_columns_does_not_describe_is_looked_at
 # -- models without run statistics ---------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def inverted():
-    """A mover of four arrays with one of its 12 sums inverted."""
-    return mistaken("sign of a reading, log", "planar", "5.0", Size(5, 24, 4e-3))
-
-
-def test_a_trial_beyond_numbers_does_not_end_the_search(inverted, monkeypatch):
-    (right,), r, tried = inverted.right, inverted.recording, []
+def test_a_trial_beyond_numbers_does_not_end_the_search(monkeypatch):
+    inverted, tried = mistaken("sign of a reading, log", "planar", "5.0", Size(5, 24, 4e-3)), []
+    (right,), r = inverted.right, inverted.recording
     channels = [right.split()[1], *(c for c in r.readings if c not in right)][:2]
 
     def refit(cost, *more):

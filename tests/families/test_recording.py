@@ -15,7 +15,6 @@ from hallsym.estimation.calibration import Claim
 from hallsym.families.recording import (
     MISTAKES,
     Correction,
-    as_corrections,
     assignment_of,
     corrected,
     read_correction,
@@ -73,6 +72,7 @@ def test_units_stand_in_texts():
     one = read_correction("scale rx_rad deg in 3,5,7-9")
     assert one == Correction("scale", ("rx_rad",), (np.pi / 180,), (3, 5, 7, 8, 9), "deg")
     assert one.text == "scale rx_rad deg in 3,5,7-9"
+    assert assignment_of([read_correction("sign hall_a_m in 3")], (A, B)) is None
     assert read_correction("scale x_ref_m inch in 3") == Correction("scale", (X,), (0.0254,), (3,), "inch")
 
 
@@ -105,13 +105,6 @@ def test_columns_and_runs_that_a_log_does_not_have(right):
         corrected(log, [read_correction("sign hall_x_m")])
     with pytest.raises(InputError, match=r"names run 5, which .* does not have"):
         corrected(log, [read_correction("sign hall_a_m in 3,5")])
-
-
-@pytest.mark.parametrize("text", ["sign hall_a_m", "exchange hall_a_m hall_b_m"])
-def test_a_wiring_is_what_its_corrections_say(text):
-    wiring = assignment_of([read_correction(text)], (A, B))
-    assert as_corrections(wiring, (A, B)) == (read_correction(text),)
-    assert assignment_of([read_correction(f"{text} in 3")], (A, B)) is None
 
 
 # -- what was made is undone -------------------------------------------------------------------------------
