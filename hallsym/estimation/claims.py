@@ -929,7 +929,7 @@ NOTHING = 1e-6
 """Share by which a scale changes nothing: no reading follows that column."""
 CLOSEST = 16
 """Corrections that are tried, the best of those that were screened."""
-PART = 0.7
+PART = 0.9
 """Share of what is left that a number may leave to be looked at more closely."""
 
 
