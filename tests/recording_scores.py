@@ -296,13 +296,11 @@ def heals(m: Mistaken, text: str) -> bool:
     return same_columns or harm(fit, r, r.true) <= HARMED
 
 
-def _among(rivals: Sequence[str], right: str) -> bool:
-    """Whether a right correction is among those that the log cannot tell apart, its factor in their range."""
+def _in_range(rivals: Sequence[str], right: str) -> bool:
+    """Whether rivals are scales of the same columns whose factors enclose the right one."""
     it, found = correction(right), [correction(text) for text in rivals]
-    factors = [
-        one.numbers[0] for one in found
-        if one.name == it.name == "scale" and (one.columns, one.runs) == (it.columns, it.runs)
-    ]  # fmt: skip
+    alike = [one for one in found if (one.name, one.columns, one.runs) == (it.name, it.columns, it.runs)]
+    factors = [one.numbers[0] for one in alike if one.name == "scale"]
     return len(factors) > 1 and min(factors) <= it.numbers[0] <= max(factors)
 
 
@@ -319,7 +317,8 @@ def verdict(m: Mistaken, out: Outcome) -> str:
         if is_right(out.first):
             return "right"
         return "rival" if any(map(is_right, rivals)) else "equal" if heals(m, out.first) else "wrong"
-    if any(_among(c["rivals"] or (), right) for c in out.claims for right in m.right):
+    named = [text for c in out.claims for text in c["rivals"] or ()]
+    if any(map(is_right, named)) or any(_in_range(named, right) for right in m.right):
         return "rival"
     if not m.right and any(set(c["columns"] or ()) & set(m.columns) for c in out.claims):
         return "right"

@@ -930,7 +930,7 @@ NOTHING = 1e-6
 CLOSEST = 16
 """Corrections that are tried, the best of those that were screened."""
 PART = 0.9
-"""Share of what is left that a number may leave to be looked at more closely."""
+"""Share of what is left that a delay or a mean may leave to be looked at more closely."""
 
 
 ALTERED = 2.0
