@@ -618,9 +618,13 @@ def suspects(trials: Trials) -> list[Found]:
     runs = list(base.left)
     best = _best(trials, base, lambda c: trials.fitted((c,)), _screen(trials, base, runs, free=True), runs)
     after = trials.fitted((best.correction,)) if best else None
-    if best and after and _explains(base, after):
+    if not best or not after or not _explains(base, after):
+        return _of_some_runs(trials, base)
+    if after.mean(after.left) < EXCESS:
         return [best]
-    return _of_some_runs(trials, base)
+    some = [one for one in _of_some_runs(trials, base) if one.explains]
+    told = trials.fitted([one.correction for one in some]) if some else None  # of one run is nearly of all
+    return some if told and told.mean(told.deviance) < after.mean(after.deviance) else [best]
 
 
 def _of_some_runs(trials: Trials, base: Tried) -> list[Found]:

@@ -58,6 +58,7 @@ def test_rates_of_mistakes() -> None:
         ("reference averaged over 3, log", "stage31", "2944.0"),  # ends of runs are left out as spikes
         ("all references of 5 bits, log", "halbach", "2955.0"),  # their rounding is estimated as their noise
         ("two states exchanged, log", "drawn", "2986.0"),  # gains absorb it: the axis of the tilts shows it
+        ("reference x 10, run", "planar", "2997.0"),  # nearly a scale of the whole log
         ("sign of a reading, log", "planar", "5.0"),  # what leaves noise beyond numbers is tried too
     ],
 )
