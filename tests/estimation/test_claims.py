@@ -10,7 +10,7 @@ import pytest
 import recordings
 from recordings import Size, mistaken
 from scipy.signal import lfilter
-from twins import COLUMNS, HALL, SIGMAS, record, same, six_runs, with_noise
+from twins import HALL, SIGMAS, record, same, six_runs, with_noise
 
 from hallsym.errors import InputError
 from hallsym.estimation import claims, fit, optimum
@@ -92,17 +92,6 @@ def test_every_wiring_is_noticed_and_put_right_by_its_corrections(unequal, order
             assert result.error_rows["fitted"][row][name] == pytest.approx(value, rel=1e-6)
     assert result.assignment == (wiring if corrections else None)
     assert not result.claims
-
-
-@pytest.mark.slow
-def test_a_reference_that_does_not_belong_is_a_claim():
-    columns = record(seed=1, samples=30)
-    other = dict(columns)
-    rng = np.random.default_rng(0)
-    for c in COLUMNS[:3]:
-        other[c] = rng.permutation(columns[c])
-    claims = fit(with_noise(other), "stage31", solver="direct").claims
-    assert any(claim.name == "unrelated" and "does not belong" in claim.text for claim in claims)
 
 
 # -- where nothing is claimed ------------------------------------------------------------------------------
