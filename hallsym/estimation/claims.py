@@ -183,7 +183,7 @@ def claim(found: Found) -> Claim:
             f"One calibration describes all runs but {run_list(c.runs)}, and no mistake that was tried "
             f"explains these: look at what they hold, or leave them out with --holdout {run_list(c.runs)}."
         )
-        return Claim("odd_runs", text, runs=c.runs)
+        return Claim("odd_runs", text, runs=c.runs, rivals=(c.text,))
     share = f"explains {100 * found.explains:.0f} % of what the model leaves"
     also = f"; {_listed(rivals)} would do as well" if rivals else ""
     factors = sorted(
