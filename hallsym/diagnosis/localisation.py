@@ -63,16 +63,18 @@ def located(
     no frequency.
     """
     fitted, holdout = both(base, runs)
-    steps = _steps([r for r in (fitted, holdout) if r is not None])
+    tables = {"fitted": fitted, "holdout": holdout}
+    steps = _steps([r for r in tables.values() if r is not None])
+    single = [s for which, r in tables.items() if r is not None for s in of_runs(r, which)]
     if fitted is None or fitted.excess <= base.policy.negligible * fitted.residual.size:
-        return Located(tuple(steps), ())
+        return Located((*steps, *single), ())
     powers = [(p, p.statistics(fitted.block)) for p in (outputs(fitted), sensors(fitted))]
     others = [z for _, each in powers for z in each]
     if screened and screened.top is not None:
         others.append(screened.top)
     statements, curves, joint = _coordinates(fitted, holdout, others)
     if not statements and not clear(fitted):
-        return Located(tuple(steps), tuple(curves))
+        return Located((*steps, *single), tuple(curves))
     explained = sum(s.share for s in statements)
     mains, octaves = of_frequencies(fitted, frozenset(runs) - base.holdout, explained)
     if mains and mains[0].share > explained:
@@ -85,7 +87,7 @@ def located(
         said = of_links(base, counted, powers[0][0], bad)
     for p, statistics in powers:
         said += of_powers(p, [joint.p_value(z[0]) for z in statistics], base.policy)
-    said += [*mains, *(() if noisy else octaves), *of_runs(fitted, explained)]
+    said += [*mains, *(() if noisy else octaves), *(() if explained > base.policy.half else single)]
     if steps and steps[0].share > explained:
         statements = [*steps, *statements]
     else:
@@ -248,8 +250,8 @@ def _steps(tables: Sequence[ResidualTable]) -> list[Statement]:
     return sorted(out, key=lambda s: -s.share)
 
 
-def of_runs(r: ResidualTable, explained: float) -> list[Statement]:
-    """Whether one run has much more than its part of the excess.
+def of_runs(r: ResidualTable, which: str) -> list[Statement]:
+    """Whether one run has much more than its part of the excess of the fitted or the holdout runs, `which`.
 
     A square counts up to the largest that noise makes in so many samples, so that a few outliers do not
     count.
@@ -258,14 +260,14 @@ def of_runs(r: ResidualTable, explained: float) -> list[Statement]:
     squares = np.minimum(r.squares, statistic_at(1 / len(r.run), len(r.residual))) - len(r.residual)
     level, each = np.log(means(squares, r.run) + len(r.residual)), sums(squares, r.run)
     k, U = int(np.argmax(level)), len(level)
-    if policy.fewest > U or each[k] <= 0 or explained > policy.half:
+    if policy.fewest > U or each[k] <= 0:
         return []
     p = min(1.0, U * beyond_one(float(level[k]), np.delete(level, k)))
     share = float(np.clip(each[k] / max(squares.sum(), 1e-300), 0.0, 1.0))
     if p >= policy.certain or share < 1 / U + policy.minor:
         return []
     name = f"run {r.run[edges_of(r.run)[k]]}"
-    return [_statement("run", name, share, p, f"lies in {name}, one of {U} fitted runs")]
+    return [_statement("run", name, share, p, f"lies in {name}, one of {U} {which} runs")]
 
 
 def of_frequencies(

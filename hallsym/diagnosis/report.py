@@ -35,7 +35,15 @@ from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import by_name
 from hallsym.diagnosis.selection import REFERENCE, Selection
 from hallsym.diagnosis.setup import Setup
-from hallsym.diagnosis.validation import QUIET, Validated, Validation, Verdict, closed, unfounded
+from hallsym.diagnosis.validation import (
+    QUIET,
+    Validated,
+    Validation,
+    Verdict,
+    closed,
+    least_described,
+    unfounded,
+)
 from hallsym.diagnosis.words import SHOWN, gap_text, gap_unit, noise_text
 from hallsym.errors import InputError, counted, listed
 from hallsym.estimation.goodness_of_fit import ResidualNoise
@@ -148,7 +156,7 @@ def report(
     source = "stated and estimated" if len(given) == 2 else "stated" if given == {True} else "estimated"
     return Diagnosis(
         verdict=verdict,
-        sentence=sentence(setup, verdict, named, confused.instead_of, metric, noise),
+        sentence=sentence(setup, found, verdict, named, confused.instead_of, metric, noise),
         held_out=setup.held_out,
         noise_floor=NoiseFloor(dict(found.floor.outputs), source),
         gap_before=found.before.gap,
@@ -240,6 +248,7 @@ def _size(setup: Setup, found: Validation, plain: Base) -> Sizes:
 
 def sentence(
     setup: Setup,
+    found: Validation,
     verdict: str,
     effects: Sequence[FoundEffect],
     instead_of: Callable[[str], Sequence[str]],
@@ -262,11 +271,13 @@ def sentence(
     said = f"The error on the {judges} is {before}, {times:.3g} x the noise floor"
     if verdict == LARGER and noise is not None:
         return f"{LARGER.capitalize()}. {said}, and that is noise: {noise_text(noise, stated=True)}."
-    if not effects and small:
-        hidden = f"The error on the {judges} is {before}, no more than noise alone gives ({floor})"
-        return f"{hidden}, but the residual of the readings has a shape; no known effect explains it."
     if not effects:
-        return f"{said}; no known effect explains it."
+        known = least_described(setup, found.end)
+        place = f", {known.where}" if known.material and not setup.split else ""
+        if small:
+            said = f"The error on the {judges} is {before}, no more than noise alone gives ({floor}), but"
+            place = f" the residual of the readings {'is not noise' if place else 'has a shape'}{place}"
+        return f"{said}{place}; no known effect explains it."
     confused = [(e.name, instead_of(e.name)) for e in effects]  # such as time_skew (or first_order_lag)
     named = listed([f"{name} (or {' or '.join(others)})" if others else name for name, others in confused])
     rest = "" if verdict == "explained" else "; the rest has no known cause"

@@ -26,7 +26,7 @@ from hallsym.diagnosis.scores import bic
 from hallsym.diagnosis.selection import REFERENCE, Exact, Selection
 from hallsym.diagnosis.setup import Floor, Setup, point_on
 from hallsym.diagnosis.survey import Survey, survey
-from hallsym.estimation.goodness_of_fit import ResidualNoise, goodness_of, limit_of
+from hallsym.estimation.goodness_of_fit import GoodnessOfFit, ResidualNoise, goodness_of, limit_of
 
 Squares = Mapping[tuple[int, ...], float]
 """Squared decoded errors of each judging run (or of neighbouring runs of a log of very many)."""
@@ -337,7 +337,7 @@ def decide(setup: Setup, found: Validation, noise: ResidualNoise | None = None) 
     loud = noise is not None and all_noise(setup, found, rest, metric, noise)
     gap = not loud and remains(setup, found, rest, metric)
     if not named and not loud:
-        gap = gap or material(setup, found.end)
+        gap = gap or least_described(setup, found.end).material
     if named:
         floor, policy = found.floor.metric, setup.policy
         most = closed(before, after, floor) >= 1 - policy.minor
@@ -346,20 +346,17 @@ def decide(setup: Setup, found: Validation, noise: ResidualNoise | None = None) 
     return "unexplained" if gap else LARGER if loud else "no gap"
 
 
-def material(setup: Setup, base: Base) -> bool:
-    """Return whether `base`, found effects included, has lack of fit on the fitted runs.
+def least_described(setup: Setup, base: Base) -> GoodnessOfFit:
+    """Return the goodness of fit of `base`, found effects included, on the fitted or the holdout runs.
 
-    An effect that changes the fit of some runs may be small on the holdout runs; and redundant readings may
-    have a residual that moves no pose, caused by an effect below the threshold.
+    Of both the one that the model describes less well, as `fit` and `evaluate` judge them. An effect that
+    changes the fit of some runs may be small on all holdout runs together; redundant readings may have a
+    residual that moves no pose; and one run may disagree with all others, in either set.
     """
-    known = setup.fit.goodness
-    if known is None or base.model.effects == setup.base.model.effects:
-        return known is not None and known.material
-    return (
-        goodness_of(point_on(base, setup.runs), len(base.free))
-        .judged(known.uncertain, setup.threshold)
-        .material
-    )
+    uncertain = setup.fit.goodness.uncertain if setup.fit.goodness else 1.0
+    sets = (setup.runs, len(base.free)), (setup.holdout, 0)
+    every = [goodness_of(point_on(base, runs), n).judged(uncertain, setup.threshold) for runs, n in sets]
+    return max(every, key=lambda each: (each.material, each.worst_least))
 
 
 def all_noise(setup: Setup, found: Validation, rest: LackOfFit, metric: float, noise: ResidualNoise) -> bool:

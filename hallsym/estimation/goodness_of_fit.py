@@ -154,14 +154,14 @@ class GoodnessOfFit:
             )
         return (
             f"{what}: residual error is {_times(self.residual_over_noise)} the noise floor{self._guessed}, "
-            f"worst in {self.where} ({_times(self.worst)})"
+            f"{self.where}"
         )
 
     @property
     def where(self) -> str:
-        """Place of the largest residual; a run is named only if there are several."""
+        """Place and size of the largest residual; a run is named only if there are several."""
         run = f"run {self.worst_run}, " if len(self.by_run) > 1 else ""
-        return f"{run}channel {self.worst_channel}"
+        return f"worst in {run}channel {self.worst_channel} ({_times(self.worst)})"
 
     def judged(self, uncertain: float, threshold: float | None = None) -> "GoodnessOfFit":
         """Return the record for a floor known within a factor, and the threshold of the log."""

@@ -367,7 +367,7 @@ def _rest_section(d: Diagnosis) -> Section:
     elif d.remaining:
         said.append(Note("It lies where the gap lies, see above."))
     elif rest:
-        said.append("It significantly goes with no sensor, coordinate, frequency or run.")
+        said.append("It significantly goes with no sensor, coordinate or frequency.")
     if rest and rest.curve:
         how, panels = curves(rest.curve)
         said.append(p.Picture(panels, words=how))
