@@ -18,7 +18,7 @@ from hallsym.estimation import Fit, load_fit
 from hallsym.families import build, default_model, family_called, model_for
 from hallsym.families.machine_file import Machine
 from hallsym.families.published import values as published_values
-from hallsym.families.recording import corrected, read_correction
+from hallsym.families.recording import corrected
 from hallsym.families.user import load_effects
 from hallsym.files import json_text
 from hallsym.log import Log, Meta, Noise, check_noise_keys, parse_column_option, read_log
@@ -78,7 +78,7 @@ def open_log(
     reading |= {} if known is None else {"remembered": known.columns, "read_with": known.read_with}
     path = options.log if path is None else path
     log = read_log([path, *options.join] if options.join else path, **reading)
-    log = corrected(log, [read_correction(text) for text in correct])
+    log = corrected(log, correct)
     if machine is None:
         return log
     meta = machine.applied(log.meta)

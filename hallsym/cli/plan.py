@@ -133,12 +133,12 @@ def _turns(options: Namespace) -> int:
         raise InputError(
             "With --reference the plan is of turns: give --model, --machine, and --after LOG with --accuracy."
         )
-    machine, density = read_machine(options.machine), None
+    machine, density, lasting = read_machine(options.machine), None, None
     model = common.built(options.model or usual_model(), machine)
     if options.after:
         log = common.open_log(options, machine, path=options.after)
         result = fit_without_reference(log, options.model, options.reference)
-        model, density = result.fit.model, result.found.line.density
+        model, density, lasting = result.fit.model, result.found.line.density, result.found.lasting
     pairs, _, _ = terms_of(model)
     target = None
     if options.accuracy:
@@ -146,6 +146,6 @@ def _turns(options: Namespace) -> int:
     places = [float(h.place_rad) for h in model.layout]
     if options.after and result.found.closure is not None:  # which period they stand in is known now
         places = [0.0, *result.found.closure.jig.places.tolist()]
-    found = TurnPlan(pairs, tuple(places), seen(places, waves_of(pairs)), target, density)
+    found = TurnPlan(pairs, tuple(places), seen(places, waves_of(pairs)), target, density, lasting)
     common.say(options, found)
     return OK

@@ -238,6 +238,7 @@ class Turns(TypedDict):
     seen: list[float]
     accuracy_rad: float | None
     turns: int | None
+    least_rad: float | None
     error_rad: Numbers
     two_speeds: Numbers
 

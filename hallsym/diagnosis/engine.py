@@ -25,6 +25,7 @@ from hallsym.diagnosis.setup import Setup, prepare
 from hallsym.diagnosis.survey import noise_of_rest
 from hallsym.diagnosis.validation import QUIET, decide, validate
 from hallsym.estimation.calibration import Fit
+from hallsym.families.recording import corrected
 from hallsym.log import as_log
 from hallsym.model import Effect, Model
 
@@ -48,6 +49,7 @@ def diagnose(
     *,
     holdout: Sequence[int] | None = None,
     effects: Sequence[Effect] = (),
+    corrections: str | Sequence[str] = (),
     threshold: float | None = None,
     drop_bad: bool = False,
     budget: float | None = None,
@@ -58,12 +60,14 @@ def diagnose(
 
     `model`: a name, a Model, or a Fit whose model is taken; the log's own base model by default. `holdout`:
     runs to judge on; the log's own, else every fifth. `effects`: the user's own, beside the catalogue.
-    `threshold`: relative decrease of the gap metric that counts; the log's own, else 5 %. `budget`: seconds
-    after which the search ends with the result so far and a note. `policy`: all other thresholds.
+    `corrections`: mistakes of the recording to undo, as for `fit`. `threshold`: relative decrease of the gap
+    metric that counts; the log's own, else 5 %. `budget`: seconds after which the search ends with the result
+    so far and a note. `policy`: all other thresholds.
 
     Raises `InputError` for a log that the model cannot have produced or with too few runs to hold any out.
     """
     log = as_log(log, model.columns, model.read_with) if isinstance(model, Fit) else as_log(log)
+    log = corrected(log, corrections)
     return examine(
         prepare(
             log, model, holdout=holdout, effects=effects, threshold=threshold, drop_bad=drop_bad,

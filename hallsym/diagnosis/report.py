@@ -41,7 +41,7 @@ from hallsym.diagnosis.validation import (
     Validation,
     Verdict,
     closed,
-    least_described,
+    goodness_on_all,
     unfounded,
 )
 from hallsym.diagnosis.words import SHOWN, gap_text, gap_unit, noise_text
@@ -272,7 +272,7 @@ def sentence(
     if verdict == LARGER and noise is not None:
         return f"{LARGER.capitalize()}. {said}, and that is noise: {noise_text(noise, stated=True)}."
     if not effects:
-        known = least_described(setup, found.end)
+        known = goodness_on_all(setup, found.end)
         place = f", {known.where}" if known.material and not setup.split else ""
         if small:
             said = f"The error on the {judges} is {before}, no more than noise alone gives ({floor}), but"

@@ -337,7 +337,7 @@ def decide(setup: Setup, found: Validation, noise: ResidualNoise | None = None) 
     loud = noise is not None and all_noise(setup, found, rest, metric, noise)
     gap = not loud and remains(setup, found, rest, metric)
     if not named and not loud:
-        gap = gap or least_described(setup, found.end).material
+        gap = gap or goodness_on_all(setup, found.end).material
     if named:
         floor, policy = found.floor.metric, setup.policy
         most = closed(before, after, floor) >= 1 - policy.minor
@@ -346,17 +346,16 @@ def decide(setup: Setup, found: Validation, noise: ResidualNoise | None = None) 
     return "unexplained" if gap else LARGER if loud else "no gap"
 
 
-def least_described(setup: Setup, base: Base) -> GoodnessOfFit:
-    """Return the goodness of fit of `base`, found effects included, on the fitted or the holdout runs.
+def goodness_on_all(setup: Setup, base: Base) -> GoodnessOfFit:
+    """Return the goodness of fit of `base`, found effects included, on fitted and holdout runs together.
 
-    Of both the one that the model describes less well, as `fit` and `evaluate` judge them. An effect that
-    changes the fit of some runs may be small on all holdout runs together; redundant readings may have a
-    residual that moves no pose; and one run may disagree with all others, in either set.
+    An effect that changes the fit of some runs may be small on the holdout runs; redundant readings may have
+    a residual that moves no pose, caused by an effect below the threshold; and one run may disagree with all
+    others, in either set.
     """
     uncertain = setup.fit.goodness.uncertain if setup.fit.goodness else 1.0
-    sets = (setup.runs, len(base.free)), (setup.holdout, 0)
-    every = [goodness_of(point_on(base, runs), n).judged(uncertain, setup.threshold) for runs, n in sets]
-    return max(every, key=lambda each: (each.material, each.worst_least))
+    found = goodness_of(point_on(base, base.log.runs), len(base.free))
+    return found.judged(uncertain, setup.threshold)
 
 
 def all_noise(setup: Setup, found: Validation, rest: LackOfFit, metric: float, noise: ResidualNoise) -> bool:

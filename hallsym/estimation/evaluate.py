@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -115,20 +115,26 @@ class Evaluation(Shown):
 
 
 def evaluate(
-    calibration: Fit | str | Path, log: Any, *, own_zero: bool = False, drop_bad: bool = False
+    calibration: Fit | str | Path,
+    log: Any,
+    *,
+    corrections: str | Sequence[str] = (),
+    own_zero: bool = False,
+    drop_bad: bool = False,
 ) -> Evaluation:
     """Decode a log with a calibration and compare it with the log's reference.
 
     `calibration`: a fit, or the path of a saved one. `log`: as `fit` takes it. The zero deviations of each
-    run are estimated from that run. `own_zero`: so is the zero of a periodic reference. `drop_bad`: leave out
-    bad samples.
+    run are estimated from that run. `corrections`: mistakes of the recording to undo, as for `fit`.
+    `own_zero`: the zero of a periodic reference is estimated from each run too. `drop_bad`: leave out bad
+    samples.
 
     Raises `InputError` for a log that is not of the machine that was calibrated, and for one whose units,
     signs or runs are wrong, as a fit of it does.
     """
     known = calibration if isinstance(calibration, Fit) else load_fit(calibration)
     model = known.model
-    given = at_rest(as_log(log, known.columns, known.read_with), model)
+    given = at_rest(corrected(as_log(log, known.columns, known.read_with), corrections), model)
     given, notes = usable(given, logged_columns(model), drop_bad=drop_bad)
     given = corrected(given, [one for one in known.corrections if not one.runs])
     mounted = model.inspect(model, given, fitted=False) if model.inspect else Inspection()

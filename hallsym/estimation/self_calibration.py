@@ -717,6 +717,15 @@ class SelfCalibration:
         """Phasors of the table (kept waves,) [rad, mechanical]."""
         return np.array([w.sensor for w in self.kept])
 
+    @property
+    def lasting(self) -> np.ndarray:
+        """Standard errors of the table (kept waves,) that do not fall with the turns [rad, mechanical].
+
+        What the scatter between turns does not make; 0 of a wave that the recording does not separate.
+        """
+        own, scatter = np.array([[w.std or 0.0, self.line.std[w.per_turn - 1]] for w in self.kept]).T
+        return np.sqrt(np.maximum(own**2 - np.nan_to_num(scatter) ** 2, 0.0))
+
     def verdicts(self, verdict: str) -> tuple[Wave, ...]:
         """Return the waves of one verdict, largest first: any of the motion, else those of the table."""
         found = [w for w in (self.waves if verdict == MOTION else self.kept) if w.verdict == verdict]

@@ -9,6 +9,8 @@ from hallsym.estimation.self_calibration import FEW, OPEN_BELOW
 
 RATIOS = (1.5, 2.0, 3.0)
 """Ratios of two speeds that are compared."""
+TURNS = (1, 2, 4, 8, 16, 32)
+"""Numbers of turns whose error is stated."""
 
 
 def two_speeds(v_slow: float, v_fast: float, ratio: float) -> float:
@@ -37,13 +39,18 @@ def table_error(density: np.ndarray, turns: int) -> float:
 
 @dataclass(frozen=True, eq=False)
 class TurnPlan:
-    """Undetermined waves of the heads, and turns for an accuracy [rad, mechanical]; None if unknown."""
+    """Undetermined waves of the heads, and turns for an accuracy [rad, mechanical]; None if unknown.
+
+    `density`: as in `turns_for`. `lasting`: (waves,) standard errors [rad] of the table that do not fall with
+    the turns: the ripple of the motion as the heads identify it, and what it does to other waves.
+    """
 
     pairs: int
     places: tuple[float, ...]
     seen: np.ndarray
     target: float | None
     density: np.ndarray | None
+    lasting: np.ndarray | None = None
 
     @property
     def open(self) -> tuple[int, ...]:
@@ -51,14 +58,22 @@ class TurnPlan:
         return tuple(int(n) + 1 for n in np.flatnonzero(self.seen < OPEN_BELOW))
 
     @property
+    def least(self) -> float:
+        """The rms error of the table that no number of turns lowers [rad]."""
+        return 0.0 if self.lasting is None else float(np.linalg.norm(self.lasting))
+
+    def error(self, turns: int) -> float | None:
+        """Return the rms error of a table from some turns [rad]."""
+        return None if self.density is None else float(np.hypot(table_error(self.density, turns), self.least))
+
+    @property
     def turns(self) -> int | None:
-        """Whole turns for the accuracy, with the loss by one and two turns."""
-        if self.density is None or self.target is None:
+        """Whole turns for the accuracy, with the loss by one and two turns; None if no number reaches it."""
+        if self.density is None or self.target is None or self.target <= self.least:
             return None
-        least = max(int(np.ceil(turns_for(self.density, self.target))), 1)
-        return next(
-            n for n in range(least, least + 5) if n >= 3 or table_error(self.density, n) <= self.target
-        )
+        random = float(np.sqrt(self.target**2 - self.least**2))
+        least = max(int(np.ceil(turns_for(self.density, random))), 1)
+        return next(n for n in range(least, least + 5) if n >= 3 or table_error(self.density, n) <= random)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record of `--json`."""
@@ -69,8 +84,7 @@ class TurnPlan:
             "seen": self.seen.tolist(),
             "accuracy_rad": self.target,
             "turns": self.turns,
-            "error_rad": {str(n): table_error(self.density, n) for n in (1, 2, 4, 8, 16, 32)}
-            if self.density is not None
-            else {},
+            "least_rad": None if self.density is None else self.least,
+            "error_rad": {} if self.density is None else {str(n): self.error(n) for n in TURNS},
             "two_speeds": {f"{r:g}": two_speeds(1.0, 1.0, r) for r in RATIOS},
         }

@@ -493,23 +493,25 @@ def as_read(log: Log, model: Model, corrections: Sequence[Correction] = ()) -> L
     return continuous(corrected(log, corrections), model)
 
 
-def corrected(log: Log, corrections: Sequence[Correction]) -> Log:
+def corrected(log: Log, corrections: str | Sequence[Correction | str]) -> Log:
     """Return the log without the mistakes that corrections undo; the log itself where there are none.
 
-    A correction that the log has already, as the log of a fit has, is not made twice.
+    `corrections`: as they are, or as their texts, of which one alone needs no list. A correction that the log has already, as the log of a fit has, is not made twice.
     Raises `InputError` for a column or a run that the log does not have.
     """
-    known = getattr(log.table, "corrections", ())
-    corrections = [one for one in corrections if one not in known]
-    if not corrections:
+    known, given = getattr(log.table, "corrections", ()), corrections
+    texts = [given] if isinstance(given, str) else given
+    every = [read_correction(one) if isinstance(one, str) else one for one in texts]
+    undone = [one for one in every if one not in known]
+    if not undone:
         return log
-    for one in corrections:
+    for one in undone:
         log.table.require(one.columns)
         if unknown := set(one.runs) - set(log.runs):
             raise InputError(
                 f"Correction '{one.text}' names run {min(unknown)}, which {log.name} does not have."
             )
     noise = log.noise
-    for one in corrections:
+    for one in undone:
         noise = noise if one.runs else one.mistake.noise(one, noise)
-    return replace(log, table=Corrected(log.table, corrections), noise=noise)
+    return replace(log, table=Corrected(log.table, undone), noise=noise)

@@ -22,8 +22,8 @@ Array = np.ndarray
 ORDER = 9
 """Order of the Taylor polynomials; the default of python-flint."""
 BITS = 128
-LEAST = 1e-30
-"""Errors below this [m, rad] count as equal."""
+EQUAL = 1e-14
+"""Share of the largest coordinate below which errors count as equal: some roundings of float64."""
 MOST_PARTS = 100_000
 NARROWEST = 1e-9
 """Share of the range below which a part without a bound is not cut again."""
@@ -61,7 +61,8 @@ def bound(
     best = max(parts, key=lambda part: part.lower)
     tried = len(parts)
     heapq.heapify(parts)
-    while parts[0].upper > max(best.lower * (1 + rel), LEAST):
+    least = EQUAL * float(np.abs(curve.form.control).max())
+    while parts[0].upper > max(best.lower * (1 + rel), least):
         worst = heapq.heappop(parts)
         cuts = np.linspace(worst.low, worst.high, 4)
         tried += 3
@@ -107,11 +108,15 @@ class _Part:
         reach = sizes(thin, wide) @ half ** np.arange(ORDER + 1.0)
         rotation = float(reach[angular].max(initial=0.0))
         along = across = [thin[k] for k in lengths], [wide[k] for k in lengths]
+        least = most = 0.0
         if is_polyline(curve):
-            across, within = _across(curve, middle, half, *along)
-            along = across if within else along
-        upper = np.linalg.norm(sizes(*along) @ half ** np.arange(ORDER + 1.0)) * (1 + 1e-12)
-        lower = np.linalg.norm([float(c[0].abs_lower()) for c in across[0]]) * (1 - 1e-12)
+            across, least, most = _from_chord(curve, middle, half, *along)
+        near, same = (
+            np.linalg.norm(sizes(*each) @ half ** np.arange(ORDER + 1.0)) for each in (across, along)
+        )
+        upper = np.fmin(np.hypot(near, most), same) * (1 + 1e-12)
+        offset = [float(c[0].abs_lower()) for c in across[0]]
+        lower = np.linalg.norm([*offset, least]) * (1 - 1e-12)
         return cls(low, high, float(np.nan_to_num(upper, nan=np.inf)), float(np.nan_to_num(lower)), rotation)
 
 
@@ -160,24 +165,30 @@ def is_polyline(curve: Curve) -> bool:
     return isinstance(curve.form, SplineForm) and curve.form.degree == 1
 
 
-def _across(
+def _from_chord(
     curve: Curve, middle: float, half: float, thin: list[Any], wide: list[Any]
-) -> tuple[tuple[list[Any], list[Any]], bool]:
-    """Differences across the chord, and whether the nearest points certainly lie between its ends."""
+) -> tuple[tuple[list[Any], list[Any]], float, float]:
+    """Distance from a chord: differences across it, and how far beyond its ends the nominal points lie.
+
+    The latter is at least the second value at the middle, and at most the third in all of the part.
+    """
     from flint import arb, ctx
 
     form = curve.form
     assert isinstance(form, SplineForm)
-    k = form.piece(middle)
-    left, right = form.knots[k], form.knots[k + 1]
-    along, found = [], []
+    k = int(form.piece(middle))
+    places, found = [], []
     with ctx.workprec(BITS):
+        left, right = map(arb, form.knots[k : k + 2].tolist())
         chord = [arb(p) - arb(q) for p, q in form.control[[k, k - 1]][:, curve.lengths].T]
         square = sum(c * c for c in chord)
-        for at in (thin, wide):
-            along.append(sum((c * p for c, p in zip(chord, at, strict=True)), 0 * at[0]) / square)
-            found.append([p - c * along[-1] for c, p in zip(chord, at, strict=True)])
-    bend_of = sizes(along[:1], along[1:])[0, 1:] @ half ** np.arange(1.0, ORDER + 1)
-    reach = half / (right - left) + float(bend_of)
-    place = (middle - left) / (right - left) - float(along[0][0])
-    return (found[0], found[1]), bool(reach <= place <= 1 - reach)
+        length = float(square.sqrt().abs_upper())
+        square = square if length else arb(1)  # both ends are one point
+        for at, apart in zip(_arguments(middle, half), (thin, wide), strict=True):
+            along = sum((c * p for c, p in zip(chord, apart, strict=True)), 0 * apart[0]) / square
+            found.append([p - c * along for c, p in zip(chord, apart, strict=True)])
+            places.append((at - left) / (right - left) - along)
+        out = max(-places[0][0], places[0][0] - 1, key=float)
+    reach = float(sizes(places[:1], places[1:])[0, 1:] @ half ** np.arange(1.0, ORDER + 1))
+    most = length * (float(out.upper()) + reach)
+    return (found[0], found[1]), max(length * float(out.lower()), 0.0), max(most, 0.0)

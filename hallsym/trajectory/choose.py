@@ -149,15 +149,17 @@ class Target:
         return Curve(method.make(u, self.at(u), control), n.start, n.stop, n.coordinates, method.name)
 
     def errors(self, curve: Curve, u: Array, points: Array) -> Array:
-        """Return differences (len(u), d) of a curve from points at shares u; of a polyline across chords."""
+        """Return differences (len(u), d) of a curve from points at shares u; of a polyline from its chords."""
         a, b = curve.form.domain
         inner = np.clip(a + u * (b - a), a, b)
         e = curve.form.evaluate(inner) - points
-        if is_polyline(curve):
+        if isinstance(curve.form, SplineForm) and is_polyline(curve):
             way = curve.form.evaluate(inner, 1)[:, curve.lengths]
             size = np.sum(way**2, axis=1)
             along = np.sum(way * e[:, curve.lengths], axis=1)
             along = np.divide(along, size, out=np.zeros_like(size), where=size > 0)
+            k = curve.form.piece(inner)
+            along = inner - np.clip(inner - along, *curve.form.knots[[k, k + 1]])
             e[:, curve.lengths] -= along[:, None] * way
         return e
 

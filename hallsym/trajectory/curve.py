@@ -114,10 +114,10 @@ class SplineForm:
 
         return BSpline(self.knots, self.control, self.degree)(t, derivative)
 
-    def piece(self, t: float) -> int:
+    def piece(self, t: Array | float) -> Array:
         """Return the number of the knot with which the piece at t begins."""
-        k = int(np.searchsorted(self.knots, t, side="right")) - 1
-        return min(max(k, self.degree), len(self.control) - 1)
+        k = np.searchsorted(self.knots, t, side="right") - 1
+        return np.clip(k, self.degree, len(self.control) - 1)
 
     def series(self, t: Any) -> list[Any]:
         """Return the piece at t as power series of balls (flint.arb_series), by de Boor's algorithm."""

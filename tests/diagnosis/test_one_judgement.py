@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from beside import REAL, needs
 from gap_twins import machine
-from twins import swept
+from twins import swept, white
 
 from hallsym import Fit, evaluate, fit, read_log
 from hallsym.diagnosis import Diagnosis, diagnose
@@ -52,6 +52,22 @@ def test_noise_that_adds_nothing_to_the_error_need_not_be_stated(unstated: tuple
 def test_bundled_logs_are_judged_alike(name: str, model: str) -> None:
     found, d = judged(read_log(ROOT / "data" / name), model)
     assert (d.verdict, found.goodness.material) == ("no gap", False)
+
+
+@pytest.mark.slow
+def test_one_bad_run_of_the_holdout_is_a_gap_until_it_is_corrected() -> None:
+    data = white(5)
+    data["hall_c_m"][data["run"] == 22] *= 1.05  # within the limit of an unstated floor, all runs together
+    bad, undo = Log.from_arrays(data), "gain_step hall_c_m 1.05 in 22"
+    d = diagnose(bad, "stage31")
+    assert 22 in d.validation_runs
+    assert d.verdict == "unexplained"
+    assert "worst in run 22, channel hall_c_m" in d.sentence
+    assert any(s.text.endswith("lies in run 22, one of 11 holdout runs") for s in d.where)
+    assert diagnose(bad, "stage31", corrections=undo).verdict == "no gap"
+    found = fit(bad, "stage31", solver="direct", corrections=[undo])
+    assert evaluate(found, bad).goodness.material
+    assert not evaluate(found, bad, corrections=undo).goodness.material
 
 
 @pytest.mark.slow

@@ -2,6 +2,8 @@
 
 import json
 import sys
+from dataclasses import replace
+from math import degrees
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,7 @@ from hallsym.estimation.without_reference import fit_without_reference
 from hallsym.experiment.turns import TurnPlan, table_error, turns_for, two_speeds
 from hallsym.log import Log, Meta
 from hallsym.model.arrays import on_arrays
+from hallsym.report.results.self_calibration import turns_content
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
@@ -161,9 +164,15 @@ def test_turns_for_an_accuracy_are_right_within_a_tenth(turns) -> None:
     assert abs(error / table_error(density, turns) - 1) < 0.1
     assert abs(np.mean([f.density for f in found]) / density[0] - 1) < 0.1
     assert turns_for(density, table_error(density, turns)) == pytest.approx(turns)
-    plan = TurnPlan(1, HALLS, sc.seen(HALLS, n), table_error(density, turns) * 1.0001, density)
+    target = table_error(density, turns) * 1.0001
+    plan = TurnPlan(1, HALLS, sc.seen(HALLS, n), target, density)
     assert plan.turns == turns
     assert plan.open == (3, 6, 9, 12)
+    lasting = np.full(n, target / np.sqrt(2 * n))  # half of the square stays: twice the turns
+    assert replace(plan, lasting=lasting).turns == 2 * turns
+    out = replace(plan, lasting=2 * lasting)
+    assert out.turns is None
+    assert turns_content(out).answer.startswith(f"No number of turns gives {degrees(target):.4g} deg")
 
 
 def test_two_speeds_cost_what_the_formula_says() -> None:

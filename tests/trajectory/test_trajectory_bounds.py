@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hallsym import InputError
 from hallsym.trajectory import Curve, bound, nominal
-from hallsym.trajectory.choose import METHODS, Target
+from hallsym.trajectory.choose import METHODS, Target, method_named
 from hallsym.trajectory.curve import FgForm
 from hallsym.trajectory.factorisation import TRIGONOMETRIC
 from hallsym.trajectory.nominal import FUNCTIONS, read_span, read_value
@@ -91,6 +91,29 @@ def test_the_bound_is_as_tight_where_control_points_are_large(method, nodes):
 
         largest = max(map(off, near.tolist()))
     assert 0.99 * found.at_most <= largest <= found.at_most
+
+
+@pytest.mark.parametrize("points", [2, 7, 12])
+@pytest.mark.parametrize(
+    ("text", "low", "high"),
+    [
+        ("x = t**2; y = t**3", "-1", "1.3"), ("x = t - sin(t); y = 1 - cos(t)", "-3", "9.1"),
+        ("x = t**2; y = 0*t", "-1", "1"), ("x = sin(t); y = 0*t", "0", "7"), ("x = t; y = 2*t", "-1", "1"),
+    ],
+)  # fmt: skip
+def test_a_polyline_is_as_far_as_its_chords_between_their_ends(text, low, high, points):
+    """Curves with a cusp and such that turn back have points beyond the ends of the nearest chord."""
+    curve = nominal(text, ("t", low, high))
+    line = Target(curve).made(method_named("linear"), points, 0)
+    found, at = bound(line, curve), np.linspace(0, 1, 20001)
+    nodes, k = line.form.control, np.minimum((at * (points - 1)).astype(int), points - 2)
+    chord, off = nodes[k + 1] - nodes[k], Target(curve).at(at) - nodes[k]
+    size = np.maximum((chord**2).sum(axis=1), 1e-300)
+    share = np.clip((off * chord).sum(axis=1) / size, 0, 1)
+    largest = np.linalg.norm(off - share[:, None] * chord, axis=1).max()
+    assert largest <= found.at_most + 1e-14
+    assert found.at_most <= largest * 1.002 + 1e-13
+    assert Target(curve).sampled(line) == pytest.approx(largest, rel=1e-2, abs=1e-14)
 
 
 def test_what_cannot_be_bounded_is_said():

@@ -11,8 +11,9 @@ import numpy as np
 from hallsym.errors import counted, listed
 from hallsym.estimation.self_calibration import MOTION, NONE, OPEN, SENSOR, Wave, coefficients, columns
 from hallsym.estimation.without_reference import SelfFit, electrical, separated_by
-from hallsym.experiment.turns import RATIOS, TurnPlan, table_error, two_speeds
+from hallsym.experiment.turns import RATIOS, TURNS, TurnPlan, two_speeds
 from hallsym.fleets import RingFleet
+from hallsym.output import percent
 from hallsym.report import picture as p
 from hallsym.report.content import Block, Content, Section, Table
 from hallsym.report.results.fleet import fleet_content
@@ -138,13 +139,27 @@ def turns_content(found: TurnPlan) -> Content:
     if found.density is None:
         blocks.append("turns: not known before a recording; give one with --after LOG --accuracy 0.01deg")
     else:
-        errors = [[str(n), f"{degrees(table_error(found.density, n)):.4f}"] for n in (1, 2, 4, 8, 16, 32)]
+        errors = [[str(n), f"{degrees(found.error(n) or 0.0):.4f}"] for n in TURNS]
         blocks.append(Table(["turns", "rms of the table [mechanical deg]"], errors, "turns"))
         if found.target is not None:
-            turns = counted(found.turns or 0, "turn")
             target = number(degrees(found.target), 4)
-            blocks.append(f"{target} deg needs {turns}, and one to judge it.")
+            if found.turns:
+                blocks.append(f"{target} deg needs {counted(found.turns, 'turn')}, and one to judge it.")
+            else:
+                answer = f"{_out_of_reach(found, target)} {answer}"
     return Content("Plan of turns", answer, [Section("turns", "Turns", blocks)])
+
+
+def _out_of_reach(found: TurnPlan, target: str) -> str:
+    """Return why no number of turns gives an accuracy, and which one is within reach."""
+    lasting = np.zeros(1) if found.lasting is None else found.lasting
+    k = int(np.argmax(lasting))
+    share = percent(float(lasting[k] / found.least) ** 2)
+    return (
+        f"No number of turns gives {target} deg: {number(degrees(found.least), 3)} deg stay, of which wave "
+        f"{k + 1} per turn makes {share}, since the Halls tell the ripple of the motion from the table no "
+        "better; another place of a Hall, one Hall more, or Halls of less noise lower it."
+    )
 
 
 # -- picture: the table over the turn, and wave by wave -------------------------------------------------
