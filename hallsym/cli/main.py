@@ -6,6 +6,7 @@ import sys
 from argparse import Namespace
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from itertools import pairwise
 from pathlib import Path
 from typing import TextIO
 
@@ -123,7 +124,12 @@ def _check(options: Namespace) -> None:
     """Refuse empty words, which would be taken for no option, and outputs that are inputs."""
     for name, value in vars(options).items():
         if value == "" or (isinstance(value, list) and "" in value):
-            raise InputError(f"'{name.replace('_', '-')}' must not be empty; give a value or leave it out.")
+            words = pairwise([*options.typed, "-"])
+            empty = [
+                w.rstrip("=") for w, after in words if w.startswith("-") and (w.endswith("=") or not after)
+            ]
+            option = empty[0] if empty else name.upper()
+            raise InputError(f"{option} must not be empty; give a value or leave it out.")
     for name in OUTPUTS:
         given = getattr(options, name, None) or []
         for path in [given] if isinstance(given, str) else given:

@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Callable
+from threading import Event, RLock, Thread
 from time import monotonic
 from typing import TextIO
 
@@ -17,13 +18,17 @@ REDRAWN_S = 0.1
 SURE = 0.02
 """Share of the work above which the remaining time is extrapolated from the time it took."""
 LEAST_S = 1.0
-"""Time that work takes at least before it is said how long it took."""
+"""Time that work takes at least before it is said how long it took; seconds between drawings on a terminal of
+work that says nothing meanwhile."""
 
 _SHOWN: list["Meter"] = []
 
 
 class Meter:
-    """Shows the current step, and the time that remains or passed; `end` removes the line."""
+    """Shows the current step, and the time that remains or passed; `end` removes the line.
+
+    A step that takes long is shown again by a thread, with its time.
+    """
 
     def __init__(self, stream: TextIO | None = None, now: Callable[[], float] = monotonic) -> None:
         """Begin the clock; `stream` is stderr by default."""
@@ -32,19 +37,34 @@ class Meter:
         self._redrawn = self._stream.isatty()
         self._silent = not (self._redrawn or os.environ.get(ASKED))
         self._text, self._began, self._shown = "", now(), now()
+        self._lock, self._ended = RLock(), Event()
         _SHOWN.append(self)
 
     def __call__(self, text: str) -> None:
         """Show a text; the share of a `Step` that is done gives the remaining time."""
         if self._silent:
             return
-        now, before = self._now(), self._text
-        again = isinstance(text, Step) and isinstance(before, Step) and text.share < before.share
-        if _head(text) != _head(before) or again:
-            self._began = now
-        self._text = text
-        if now - self._shown >= (REDRAWN_S if self._redrawn else EVERY_S) or (self._redrawn and not before):
-            self.draw()
+        with self._lock:
+            now, before = self._now(), self._text
+            again = isinstance(text, Step) and isinstance(before, Step) and text.share < before.share
+            if _head(text) != _head(before) or again:
+                self._began = now
+            self._text = text
+            if self._redrawn and not before:
+                self.draw()
+            self._draw_after(REDRAWN_S if self._redrawn else EVERY_S)
+        if not before:
+            Thread(target=self._tick, daemon=True).start()
+
+    def _draw_after(self, seconds: float) -> None:
+        with self._lock:
+            if self._now() - self._shown >= seconds and not self._ended.is_set():
+                self.draw()
+
+    def _tick(self) -> None:
+        seconds = LEAST_S if self._redrawn else EVERY_S
+        while not self._ended.wait(seconds):
+            self._draw_after(seconds)
 
     def draw(self) -> None:
         """Show the line as it is now."""
@@ -59,6 +79,8 @@ class Meter:
 
     def end(self) -> None:
         """Show nothing more; what follows begins on an empty line."""
+        with self._lock:
+            self._ended.set()
         if self._redrawn and self._text:
             print("\r\033[K", end="", file=self._stream, flush=True)
 

@@ -64,7 +64,7 @@ waves per period (data sheets state a linearity of .1 to 1.5 %). Heads that bend
 of the table, and nothing shows it: it is counted in the standard errors."""
 JOINS = 3.0
 """A head sees the field of the first two if, `TRIAL` steps from their solution, the misfit is at most so many
-times theirs."""
+times theirs; and the ratio to its noise above which a motion shows in the readings."""
 TRIAL = 5
 """Newton steps that bring a head that does see it within a few percent of its misfit."""
 PERIODS = 8
@@ -202,7 +202,7 @@ def stretch_of(
     Nothing is known with `NONE`: the stretch of constant speed where it is long enough to learn from and to
     judge by, else any. Raises `InputError` for a run that makes too few turns.
     """
-    u = plane.phase(x) / pairs
+    u, whole = plane.phase(x) / pairs, x
     total = abs(u[-1] - u[0])
     window = max(round(len(u) * TURN / max(total, TURN) * max(1 / pairs, WINDOW)), 2)
     if len(u) > 2 * window and total > TURN:
@@ -214,11 +214,21 @@ def stretch_of(
         u, time, x = u[use], time[use], x[use]
     if len(u) < 2 or abs(u[-1] - u[0]) < LEAST_TURNS * TURN:
         made = abs(u[-1] - u[0]) / TURN if len(u) else 0.0
+        turns = f"makes {made:.2f} turns without a stop" if _goes_round(whole) else "stands or rocks"
         raise InputError(
-            f"Run {run} makes {made:.2f} turns without a stop; a table over the turn needs {LEAST_TURNS:g} "
+            f"Run {run} {turns}; a table over the turn needs {LEAST_TURNS:g} "
             f"at least (two and one more to judge it), of {counted(pairs, 'pole pair')}: let it turn further."
         )
     return Stretch(run, time, x, u)
+
+
+def _goes_round(x: np.ndarray) -> bool:
+    """Whether readings (samples, Halls) vary in two directions by more than `JOINS` times their noise.
+
+    The noise is that between neighbours. Without two directions there is no ellipse, and no phase.
+    """
+    noise = np.sqrt(0.5 * np.diff(x, axis=0).var(axis=0).mean())
+    return bool(np.linalg.svd(x - x.mean(axis=0), compute_uv=False)[1] > JOINS * noise * len(x) ** 0.5)
 
 
 def _longest(good: np.ndarray, window: int) -> slice:

@@ -496,7 +496,8 @@ def as_read(log: Log, model: Model, corrections: Sequence[Correction] = ()) -> L
 def corrected(log: Log, corrections: str | Sequence[Correction | str]) -> Log:
     """Return the log without the mistakes that corrections undo; the log itself where there are none.
 
-    `corrections`: as they are, or as their texts, of which one alone needs no list. A correction that the log has already, as the log of a fit has, is not made twice.
+    `corrections`: as they are, or as their texts, of which one alone needs no list. A correction that the log
+    has already, as the log of a fit has, is not made twice.
     Raises `InputError` for a column or a run that the log does not have.
     """
     known, given = getattr(log.table, "corrections", ()), corrections

@@ -107,7 +107,8 @@ class Fleet(Shown):
                 if row["verdict"] == verdict and not good:
                     usual = self.model.name if self.model else None
                     other = row.get("model", usual) != usual
-                    why = f"of model {row['model']}, not {usual}" if other else row.get("reason")
+                    known = row.get("diagnosis_reason") if row.get("causes") else row.get("reason")
+                    why = f"of model {row['model']}, not {usual}" if other else known
                     out[str(row["device"])] = f"{verdict}: {why}"
         for spread in self.spreads:
             for device, score in sorted(spread.outlying.items(), key=lambda item: -abs(item[1])):

@@ -149,7 +149,7 @@ class Target:
         return Curve(method.make(u, self.at(u), control), n.start, n.stop, n.coordinates, method.name)
 
     def errors(self, curve: Curve, u: Array, points: Array) -> Array:
-        """Return differences (len(u), d) of a curve from points at shares u; of a polyline from its chords."""
+        """Return differences (len(u), d) from points at shares u; of a polyline from its chords."""
         a, b = curve.form.domain
         inner = np.clip(a + u * (b - a), a, b)
         e = curve.form.evaluate(inner) - points

@@ -63,6 +63,21 @@ def test_work_whose_end_is_not_known_says_how_long_it_took(monkeypatch):
     assert shown(io.StringIO(), steps) == "hallsym: testing 30 effects, beside 1, 5 s so far\n"
 
 
+def test_work_that_says_nothing_for_long_is_shown_again_until_it_ends(monkeypatch):
+    monkeypatch.setattr("hallsym.cli.progress.LEAST_S", 0.01)
+    stream = Terminal()
+    meter = Meter(stream)
+    meter("testing 30 effects")
+    end = time.monotonic() + 10
+    while stream.getvalue().count("s so far") < 3 and time.monotonic() < end:
+        time.sleep(0.01)
+    meter.end()
+    text = stream.getvalue()
+    assert text.count("testing 30 effects") > 3
+    time.sleep(0.05)
+    assert stream.getvalue() == text
+
+
 def test_times_are_said_in_units_that_suit_them():
     assert [said_time(t) for t in (0.4, 89, 600, 86400)] == ["0 s", "89 s", "10 min", "24 h 0 min"]
 

@@ -42,7 +42,7 @@ SENTENCES = [
     ("fit log.csv --solver hybrd", "did you mean 'hybrid'"),
     ("fit log.csv --loss tuky", "did you mean 'tukey'"),
     ("fit log.csv --format cvs", "did you mean 'csv'"),
-    *((f"fit log.csv {option} ''", "must not be empty") for option in ("-o", "--plots", "--model")),
+    *((f"fit log.csv {option} ''", f"{option} must not be empty") for option in ("-o", "--plots", "--model")),
     *((f"info '{name}'", "") for name in (LONG, f"{LONG}.csv", f"{'d' * 100}/" * 3 + "a.csv")),
     *((f"{command} 'a{odd}.csv' log.csv", "") for command in ("evaluate", "info") for odd in "\n\x1b\0"),
     (f"{FIT} -o {LONG}.json", ""),

@@ -217,6 +217,7 @@ def test_a_calibration_decodes_the_ring_that_it_has_not_seen_with_a_reference() 
     [
         (lambda x: x * np.array([1.0, 0.0, 1.0]), "Hall 2 is dead"),
         (lambda x: x[:500], "turns without a stop"),
+        (lambda x: x[:1] + 0.01 * np.random.default_rng(1).standard_normal(x.shape), "stands or rocks"),
         (lambda x: x[::200], "sample faster"),
     ],
 )
