@@ -181,7 +181,7 @@ def _from_chord(
     with ctx.workprec(BITS):
         left, right = map(arb, form.knots[k : k + 2].tolist())
         chord = [arb(p) - arb(q) for p, q in form.control[[k, k - 1]][:, curve.lengths].T]
-        square = sum(c * c for c in chord)
+        square = sum((c * c for c in chord), arb(0))
         length = float(square.sqrt().abs_upper())
         square = square if length else arb(1)  # both ends are one point
         for at, apart in zip(_arguments(middle, half), (thin, wide), strict=True):

@@ -134,6 +134,9 @@ def test_effective_degrees_of_freedom():
     assert budget(Source("c", 1.0, "m")).degrees_of_freedom == inf
     together = budget(a, b, correlation=np.array([[1, 0.5], [0.5, 1]]))
     assert together.degrees_of_freedom == pytest.approx(5)
+    for freedom in (5, 5e9):  # many of them are not told
+        said = budget(Source("a", 1.0, "m", degrees_of_freedom=freedom)).summary()
+        assert ("effective degrees of freedom" in said) is (freedom == 5)
 
 
 def test_the_factor_of_a_level_tends_to_the_normal_one():

@@ -18,6 +18,8 @@ from hallsym.units import UNITS, fitting, readable, reading_unit, typeset
 
 _SMALL = 5e-5
 """Sources with a smaller share are one line."""
+MANY = 1000
+"""Degrees of freedom above which they are not told: Student's factor is the normal one within .2 %."""
 
 
 def budget_content(budget: Budget, shown: str | None = None, more: Sequence[Block | str] = ()) -> Content:
@@ -91,7 +93,7 @@ def budget_blocks(budget: Budget, shown: str | None = None) -> list[Block | str]
     if small:
         rows.append([f"other {len(small)} sources", "", "", "", "", f"<{100 * _SMALL * len(small):.2f}"])
     dof = budget.degrees_of_freedom
-    freedom = "" if np.isinf(dof) else f"; {dof:.0f} effective degrees of freedom"
+    freedom = "" if dof > MANY else f"; {dof:.0f} effective degrees of freedom"
     value = ""
     if budget.value is not None:
         size, its = fitting(budget.unit, budget.value or budget.expanded, turns=budget.turns)
