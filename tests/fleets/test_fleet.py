@@ -154,6 +154,7 @@ def test_devices_are_diagnosed_and_grouped_by_causes(tmp_path):
     assert [row["verdict"] for row in found.rows] == ["good", "not described", "not described"]
     assert [row["diagnosis"] for row in found.rows] == ["no gap", "explained", "explained"]
     assert found.groups == {"explained: eccentricity": ("dev1", "dev2")}
+    assert "With eccentricity it falls" in found.outlying["dev1"]
     text = found.rows[1]["diagnosis_reason"]
     assert "With eccentricity it falls" in text
     mended = hallsym.fleet(tmp_path, "rotary", effects=["eccentricity:form=curved"], diagnose=True, workers=1)
