@@ -12,12 +12,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from math import ceil, floor, log10, prod
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from hallsym.codegen.bounds import LEAST_GAIN, enclosed_step
 from hallsym.codegen.decoupler import Decoupler, Margin, Whole, short
-from hallsym.codegen.intervals import Enclosure, enclose
+from hallsym.codegen.intervals import Enclosure
 from hallsym.errors import InputError
 
 Ends = Mapping[str, tuple[float, float]]
@@ -67,10 +66,10 @@ def accepted(d: Decoupler, most: float) -> dict[str, tuple[float, float]]:
 def any_accepted(d: Decoupler, most: float) -> dict[str, tuple[float, float]] | None:
     """Return the widest ends of which all steps give less than the largest number `most`, if any do."""
     for sizes, powers in ((_by_unit(d), WIDE), (_by_form(d), (*WIDE, *NARROW)), (None, NARROW)):
-        for power in powers:
-            found = _within(d, 2.0**power, sizes)
-            if finite(d, found, most):
-                return found
+        tried = [_within(d, 2.0**power, sizes) for power in powers]
+        good = finite(d, tried, most)
+        if good.any():
+            return tried[int(good.argmax())]
     return None
 
 
@@ -197,25 +196,24 @@ def _rounded(value: float, to: Callable[[float], int], digits: int) -> float:
     return float(f"{to(value / 10.0**power)}e{power}")
 
 
-def finite(d: Decoupler, ends: Ends, most: float) -> bool:
-    """Whether all steps give numbers of less than `most` of every table within `ends`."""
-    known = {name: Enclosure(*pair) for name, pair in ends.items()}
+def finite(d: Decoupler, ends: Sequence[Ends], most: float) -> np.ndarray:
+    """Whether all steps give numbers of less than `most` of every table within some ends, (ends,)."""
+    sides = {name: np.array([own[name] for own in ends]).T for name in ends[0]}
+    known = {name: Enclosure(*pair) for name, pair in sides.items()}
+    good = np.ones(len(ends), bool)
     for column in d.inputs:
         name = short(column)
         if d.box.symmetric(column):
-            high = ends[f"limit_{name}"][1]
+            high = sides[f"limit_{name}"][1]
             known[name] = Enclosure(-high, high)
         else:
-            known[name] = Enclosure(ends[f"low_{name}"][0], ends[f"high_{name}"][1])
+            known[name] = Enclosure(sides[f"low_{name}"][0], sides[f"high_{name}"][1])
     for step in d.steps:
-        every = enclosed_step(step, known)
-        found = known[step.name]
-        if isinstance(step, Whole) and not (found.low > -1 and found.high < 2.0**32):
-            return False
-        if step.most is not None:  # the value alone may be more
-            (end,) = enclose([ca.SX(step.most)], known, None)
-            known[step.name] = Enclosure(max(float(found.low), -end.high), min(float(found.high), end.high))
-            every = [e for e in every if e is not found]
-        if not all(e.most < HEADROOM * most for e in every):  # not of one that is not a number either
-            return False
-    return True
+        every, last = enclosed_step(step, known), step.graph.results[0]
+        if isinstance(step, Whole):
+            good &= (known[step.name].low > -1) & (known[step.name].high < 2.0**32)
+        for possible, values in every:
+            for k, e in enumerate(values):  # not of one that is not a number either
+                if k != last or step.most is None:  # else the value alone may be more
+                    good &= ~possible | (e.most < HEADROOM * most)
+    return good

@@ -8,9 +8,19 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.decoupler import Bits, Decoupler, Lookup, Step, Whole, run_step, short
-from hallsym.codegen.intervals import EXACT, TINY, Enclosure, constant, enclosures
-from hallsym.codegen.operations import Graph, Operation
+from hallsym.codegen.decoupler import FAULT, Bits, Decoupler, Lookup, Step, Whole, needed, run_step, short
+from hallsym.codegen.intervals import (
+    EXACT,
+    TINY,
+    Enclosure,
+    Outcomes,
+    constant,
+    enclose,
+    enclosures,
+    hull,
+    outcomes,
+)
+from hallsym.codegen.operations import BRANCHES, Graph, chosen
 
 LEAST_GAIN = 0.1
 """Share of its gain at rest below which a probe must not fall within the box."""
@@ -20,37 +30,49 @@ LEAST_GAIN = 0.1
 class Bounds:
     """Over every input in the box: pose within `low`, `high`, and the computed one off by at most `error`.
 
-    `error` counts the rounding of each operation and of each table entry. `least_gain`: by column of the
-    margins, as a share of its value at rest.
+    `error` counts the rounding of each operation and of each table entry.
     """
 
     low: Mapping[str, float]
     high: Mapping[str, float]
     error: Mapping[str, float]
-    least_gain: Mapping[str, float]
 
 
 def pose_bounds(d: Decoupler, digits: int = 24) -> Bounds:
     """Return the bounds of one table, by interval arithmetic on the printed expressions."""
-    if d.bounded is None:
+    if d.sampled:
+        found = pose_by_pose(d, digits)
+    elif d.at_pose:  # its range as an analysis of the C sees it
+        known = {name: Enclosure(e.low - e.error, e.high + e.error) for name, e in given_of(d, digits).items()}
+        for step in d.steps:
+            enclosed_step(step, known)
+        every = zip((known[step.name] for step in d.steps[-len(d.pose) :]), _by_cells(d, digits), strict=True)
+        found = [replace(e, error=own.error) for e, own in every]
+    elif straight(d.steps):
         found = enclosed(d, d.steps, digits)[-len(d.pose) :]
-        if d.at_pose:  # an iteration takes each value again: over the whole box its error grows in each round
-            errors = _errors_by_cells(d, digits)
-            found = [replace(e, error=np.fmin(e.error, own)) for e, own in zip(found, errors, strict=True)]
     else:
-        found = list(d.bounded(d, digits).values())
+        found = _by_cells(d, digits)
+    low, high, error = (
+        {c: getattr(e, side) for c, e in zip(d.pose, found, strict=True)} for side in ("low", "high", "error")
+    )
+    return Bounds(low, high, error)
+
+
+def least_gains(d: Decoupler) -> dict[str, float]:
+    """Return what the largest terms within the box leave of each margin, as a share of its value at rest.
+
+    Exact where the box is symmetric and the columns independent.
+    """
     values, reach = {e.name: abs(e.value) for e in d.table}, d.box.reach()
-    # what the largest terms leave of a margin: exact where the box is symmetric and the columns independent
-    least = {
+    return {
         m.column: 1 - sum(values[e] * prod(reach[c] for c in own) for e, own in m.terms) / values[m.rest]
         for m in d.margins
     }
-    return Bounds(
-        low=dict(zip(d.pose, (e.low for e in found), strict=True)),
-        high=dict(zip(d.pose, (e.high for e in found), strict=True)),
-        error=dict(zip(d.pose, (e.error for e in found), strict=True)),
-        least_gain=least,
-    )
+
+
+def straight(steps: Sequence[Step]) -> bool:
+    """Whether steps hold arithmetic and magnitudes only: no comparison or choice."""
+    return not any(o.op in BRANCHES - {"fabs"} for step in steps for o in step.graph.operations)
 
 
 FOLDED = 16
@@ -63,24 +85,34 @@ def enclosed(d: Decoupler, steps: Sequence[Step], digits: int) -> list[Enclosure
     """Return the enclosure of each step over the box; errors count those of the table."""
     known = given_of(d, digits)
     for step in steps:
-        enclosed_step(step, known, digits)
+        rounded_step(step, known, digits)
     return [known[step.name] for step in steps]
 
 
-def enclosed_step(step: Step, known: dict[str, Enclosure], digits: int | None = None) -> list[Enclosure]:
-    """Add the enclosure of a step to those by symbol; returns those of its operations.
+def rounded_step(step: Step, known: dict[str, Enclosure], digits: int) -> None:
+    """Add the enclosure of a step and its rounding to those by symbol."""
+    known[step.name] = enclosures(step.graph, known, digits)[step.graph.results[0]]
 
-    A row that is looked up, and bits, are anything that they can be.
-    """
-    if isinstance(step, Lookup):
-        known[step.name] = known[step.array.name]
-        return []
-    every = enclosures(step.graph, known, digits)
-    found = every[step.graph.results[0]]
-    if isinstance(step, Bits):
-        found = Enclosure(0.0, float((1 << step.first) - 1 if step.below else (2**32 - 1) >> step.first))
-    known[step.name] = found
+
+def enclosed_step(step: Step, known: dict[str, Enclosure]) -> Outcomes:
+    """Add the range of a step to those by symbol; returns those of its operations."""
+    every = [] if isinstance(step, Lookup) else outcomes(step.graph, known)
+    known[step.name] = _range_of(step, known, every)
     return every
+
+
+def _range_of(step: Step, known: Mapping[str, Enclosure], every: Outcomes) -> Enclosure:
+    """Return the range of a step: of a row that is looked up, and of bits, all that they can be."""
+    if isinstance(step, Lookup):
+        return known[step.array.name]
+    if isinstance(step, Bits):
+        return Enclosure(0.0, float((1 << step.first) - 1 if step.below else (2**32 - 1) >> step.first))
+    last = step.graph.results[0]
+    found: Enclosure = hull([(possible, values[last]) for possible, values in every])
+    if step.most is None:
+        return found
+    (end,) = enclose([ca.SX(step.most)], known, None)
+    return Enclosure(np.maximum(found.low, -end.high), np.minimum(found.high, end.high))
 
 
 def given_of(d: Decoupler, digits: int) -> dict[str, Enclosure]:
@@ -88,58 +120,109 @@ def given_of(d: Decoupler, digits: int) -> dict[str, Enclosure]:
     dtype = np.float32 if digits == 24 else np.float64
     found = {d.symbols[c].name(): Enclosure(*(float(dtype(v)) for v in d.ends(c))) for c in d.inputs}
     for e in (*d.table, *d.offsets):
-        error = constant(e.value, digits).error + FOLDED * 2.0**-53 * abs(e.value)
+        error = constant(e.value, digits).error + FOLDED * 2.0**-53 * abs(e.value) * (e.holds != "value")
         found[d.symbols[e.name].name()] = Enclosure(e.value, e.value, error)
+    found |= {a.name: Enclosure(min(a.values), max(a.values)) for a in d.arrays}
     return found
 
 
 CELLS = 512
 """Most parts of the box over which the rounding of an iteration is bounded at a time."""
-ROUNDS = 5
+WAYS = 8
+"""Times as many ways through comparisons as cells: beyond them, slopes are from 0 to 1 where one is open."""
+ROUNDS = 8
 """Times that the worst of them are cut in half along each side."""
 
 
-def _errors_by_cells(d: Decoupler, digits: int) -> np.ndarray:
-    """Return the rounding of the pose (pose,) over all cells that what an iteration starts from is cut into.
+def _by_cells(d: Decoupler, digits: int) -> list[Enclosure]:
+    """Return range and rounding of the pose over all cells that what most steps start from is cut into.
 
     Proved: what operations round, each times the slope of the pose by it, enclosed over all values of a cell,
-    rounded ones too (mean value theorem); where an iteration may be at an end of its range, slopes are 0 to
-    1. Slopes have signs, so terms of an expanded polynomial cancel as they do in its value.
+    rounded ones too (mean value theorem). Slopes have signs, so terms of an expanded polynomial cancel as
+    they do in its value. Cells in which a flag is set wherever the inputs are say nothing.
     """
-    made, given = {step.name for step in d.steps}, given_of(d, digits)
-    varies = made | {d.symbols[c].name() for c in d.inputs}
-    reads = [{s.name() for s in ca.symvar(step.expression)} & varies for step in d.steps]
-    crossing = []
-    for k in range(len(d.steps) - len(d.pose) + 1):  # what the steps from k on read of what is before them
-        later = {step.name for step in d.steps[k:]}
-        crossing.append(sorted(set().union(*reads[k:]) - later))
-    first = min(range(len(crossing)), key=lambda k: len(crossing[k]))
-    for step in d.steps[:first]:
-        enclosed_step(step, given, digits)
-    steps, names = d.steps[first:], crossing[first]
+    flags = [flag for flag in d.flags if flag.name != FAULT]
+    every = needed(d.steps, [*(step.name for step in d.steps[-len(d.pose) :]), *(f.step for f in flags)])
+    given = given_of(d, digits)
+    varies = {step.name for step in every} | {d.symbols[c].name() for c in d.inputs}
+    crossing: list[set[str]] = [set()]
+    for step in reversed(every):  # what the steps from this one on read of what is before them
+        reads = {s.name() for s in ca.symvar(step.expression)} & varies
+        crossing.append((crossing[-1] - {step.name}) | reads)
+    crossing = crossing[len(d.pose) :][::-1]
+    seen = [k for k, step in enumerate(every) if step.name in {flag.step for flag in flags}]
+    first = min(range(min(seen, default=len(crossing))), key=lambda k: len(crossing[k]))
+    for step in every[:first]:
+        rounded_step(step, given, digits)
+    steps, names = every[first:], sorted(crossing[first])
     before = {name: float(e.error) for name, e in given.items()}
+    wide = {name: Enclosure(e.low - e.error, e.high + e.error) for name, e in given.items()}
 
     def bounded(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        cell = zip(names, low, high, strict=True)
-        known = given | {name: Enclosure(least, most, before[name]) for name, least, most in cell}
-        worked = [
-            [Enclosure(v.low - v.error, v.high + v.error) for v in enclosed_step(step, known, digits)]
-            for step in steps
-        ]
+        """Less the least value, the greatest one and the error (3 n_pose, s) in cells; NaN where there is no
+        pose."""
+        cells, count = zip(names, low, high, strict=True), low.shape[1]
+        known = wide | {n: Enclosure(least - before[n], most + before[n]) for n, least, most in cells}
+        cell, worked = np.arange(count), list[list[Enclosure]]()
+        for step in steps:
+            every = [] if isinstance(step, Lookup) else outcomes(step.graph, known, 2.0**-digits)
+            some = [np.flatnonzero(np.broadcast_to(possible, cell.shape)) for possible, _ in every]
+            if len(every) > 1 and sum(map(len, some)) > WAYS * count:
+                every = [(True, [hull([(v, own[k]) for v, own in every]) for k in range(len(every[0][1]))])]
+            elif len(every) > 1:  # each way that comparisons come out is a cell of its own
+                take, pairs = np.concatenate(some), list(zip(every, some, strict=True))
+                parts = [[_of_cells(e, own) for e in values] for (_, values), own in pairs]
+                every = [(True, [_joined(es, some) for es in zip(*parts, strict=True)])]
+                known = {name: _of_cells(e, take) for name, e in known.items()}
+                worked, cell = [[_of_cells(e, take) for e in values] for values in worked], cell[take]
+            known[step.name] = _range_of(step, known, every)
+            worked.append(every[0][1] if every else [])
+        clear = np.ones(len(cell), bool)
+        for flag in flags:
+            clear &= known[flag.step].high >= known[flag.least].low
+        ends = [known[step.name] for step in steps[-len(d.pose) :]]
         with np.errstate(all="ignore"):  # what grows without end is bounded by nothing
-            return np.array(_errors(steps, worked, before, digits, len(d.pose)))
+            off = [_rounded(step.graph, values, digits) for step, values in zip(steps, worked, strict=True)]
+            if len(cell) > count:  # what is computed may go another way than what is exact
+                off = [[_most_of(v, cell, count)[cell] for v in own] for own in off]
+            errors = _errors(steps, worked, off, before, len(d.pose))
+            errors = [np.where(clear, e, -np.inf) for e in errors]
+        rows = (*(-e.low for e in ends), *(e.high for e in ends), *errors)
+        found = np.array([_most_of(v, cell, count) for v in rows])
+        return np.where(np.isneginf(found), np.nan, found)
 
-    ends = np.array([[given[name].low, given[name].high] for name in names], dtype=float)
+    ends = np.array([[float(given[n].low), float(given[n].high)] for n in names]).reshape(-1, 2)
     low, high = _cut(ends[:, :1], ends[:, 1:], max(2, int(CELLS ** (1 / len(names)) + 1e-9)))
-    found = bounded(low, high)
-    usual = np.median(found, axis=1, keepdims=True)
+    found, n = bounded(low, high), 2 * len(d.pose)
     for _ in range(ROUNDS):
-        order = np.argsort((found / usual).max(axis=0))
+        usual = np.nanmedian(found[n:], axis=1, keepdims=True)
+        order = np.argsort(np.nan_to_num((found[n:] / usual).max(axis=0), nan=0.0))
         kept, worst = np.split(order, [-max(1, CELLS >> len(names))])
         parts = _cut(low[:, worst], high[:, worst], 2)
         low, high = (np.hstack([a[:, kept], b]) for a, b in zip((low, high), parts, strict=True))
         found = np.hstack([found[:, kept], bounded(*parts)])
-    return np.asarray(found.max(axis=1))
+    least, most, error = np.split(found, 3)
+    sides = (-np.nanmax(least, axis=1), np.nanmax(most, axis=1), np.nanmax(error, axis=1))
+    return [Enclosure(*map(float, e)) for e in zip(*sides, strict=True)]
+
+
+def _of_cells(e: Enclosure, some: np.ndarray) -> Enclosure:
+    return Enclosure(*(v[some] if np.ndim(v) else v for v in (e.low, e.high)))
+
+
+def _joined(parts: Sequence[Enclosure], some: Sequence[np.ndarray]) -> Enclosure:
+    sides = zip(*((e.low, e.high) for e in parts), strict=True)
+    return Enclosure(*(
+        np.concatenate([np.broadcast_to(v, own.shape) for v, own in zip(side, some, strict=True)])
+        for side in sides
+    ))  # fmt: skip
+
+
+def _most_of(values: Any, cell: np.ndarray, count: int) -> np.ndarray:
+    """Return the largest value (count,) of the ways through each cell."""
+    out = np.full(count, -np.inf)
+    np.maximum.at(out, cell, np.broadcast_to(values, cell.shape))
+    return out
 
 
 def _cut(low: np.ndarray, high: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -160,7 +243,7 @@ ROOM = 1.5
 """Times the largest bound of these poses."""
 
 
-def pose_by_pose(d: Decoupler, digits: int) -> dict[str, Enclosure]:
+def pose_by_pose(d: Decoupler, digits: int) -> list[Enclosure]:
     """Return range and rounding of each coordinate, flags clear, offsets at zero; `digits`: of the
     significand.
 
@@ -171,7 +254,7 @@ def pose_by_pose(d: Decoupler, digits: int) -> dict[str, Enclosure]:
     named = dict(zip(map(short, d.inputs), inputs, strict=True))
     values, errors = rounding(d.steps, named, {e.name: e.value for e in d.entries}, digits, len(d.pose))
     ends = (values.min(axis=1), values.max(axis=1), ROOM * errors.max(axis=1))
-    return {c: Enclosure(*map(float, e)) for c, *e in zip(d.pose, *ends, strict=True)}
+    return [Enclosure(*map(float, e)) for e in zip(*ends, strict=True)]
 
 
 Numbers = dict[str, Any]
@@ -223,61 +306,104 @@ def rounding(
     known: Numbers = {**inputs, **entries}
     with np.errstate(all="ignore"):
         worked = [run_step(step, known) for step in steps]
-    stored = {name: float(constant(value, digits).error) for name, value in entries.items()}
-    values, errors = (
-        [np.broadcast_to(v, np.shape(next(iter(inputs.values())))) for v in found]
-        for found in (
-            [known[step.name] for step in steps[-last:]],
-            _errors(steps, worked, stored, digits, last),
-        )
-    )
-    return np.array(values), np.array(errors)
+        off = [_rounded(step.graph, values, digits) for step, values in zip(steps, worked, strict=True)]
+        stored = {name: float(constant(value, digits).error) for name, value in entries.items()}
+        found = [known[step.name] for step in steps[-last:]], _errors(steps, worked, off, stored, last)
+    shape = np.shape(next(iter(inputs.values())))
+    values, errors = (np.array([np.broadcast_to(v, shape) for v in some]) for some in found)
+    return values, errors
 
 
 def _errors(
     steps: Sequence[Step],
     worked: Sequence[list[Any]],
+    off: Sequence[list[Any]],
     before: Mapping[str, float],
-    digits: int,
     last: int,
 ) -> list[Any]:
     """Return the rounding errors of the last steps.
 
-    `worked`: the values of each step's operations, numbers (s,) or enclosures of s cells; `before`: what
-    symbols are off by that no step makes.
+    `worked`: the values of each step's operations, numbers (s,) or enclosures of s cells; `off`: what each
+    rounds; `before`: what symbols are off by that no step makes.
     """
     errors = []
     for step in steps[-last:]:
         adjoint: Numbers = {step.name: 1.0}
         total: Any = 0.0
-        for one, values in zip(reversed(steps), reversed(worked), strict=True):
-            if one.name in adjoint and not isinstance(one, Whole):
-                total = total + _back(one.graph, values, adjoint.pop(one.name), adjoint, digits)
+        for one, values, own in zip(reversed(steps), reversed(worked), reversed(off), strict=True):
+            if one.name in adjoint and not isinstance(one, Whole | Bits | Lookup):
+                by = adjoint.pop(one.name)
+                total = total + _back(one.graph, values, own, by, adjoint)
+                if one.follows:  # bits of a place that are cut off move it too
+                    place, slope = one.follows
+                    adjoint[place] = adjoint.get(place, 0.0) + Enclosure(-slope, slope) * abs(by)
+                    total = total + slope * abs(by)
         for name, error in before.items():
             total = total + abs(adjoint.get(name, 0.0)) * error
         errors.append(total)
     return errors
 
 
-def _back(own: Graph, values: list[Any], by: Any, adjoint: Numbers, digits: int) -> Any:
+def _back(own: Graph, values: list[Any], off: list[Any], by: Any, adjoint: Numbers) -> Any:
     """Add the derivatives by the symbols of a step, whose own is `by`; returns what its operations round."""
     slopes: list[Any] = [0.0] * len(values)
     slopes[own.results[0]] = by
     total: Any = 0.0
     for k in reversed(range(len(values))):
         o, z, slope = own.operations[k], values[k], slopes[k]
+        total = total + abs(slope) * off[k]
         if o.op == "input":
             adjoint[o.symbol] = adjoint.get(o.symbol, 0.0) + slope
-            continue
-        total = total + abs(slope) * _rounded(o, z, digits)
-        if o.op != "const":
+        elif o.op != "const":
             for j, own_slope in zip(o.args, _SLOPES[o.op](z, *(values[a] for a in o.args)), strict=True):
                 slopes[j] = slopes[j] + slope * own_slope
     return total
 
 
-def _rounded(operation: Operation, value: Any, digits: int) -> Any:
-    """Bound of what an operation is off by where its arguments are exact; of a number, as it is stored."""
-    if operation.op == "const":
-        return constant(operation.value, digits).error
-    return 0.0 if operation.op in EXACT else 2.0**-digits * abs(value) + TINY[digits]
+def _rounded(own: Graph, values: list[Any], digits: int) -> list[Any]:
+    """Bounds of what operations are off by where their arguments are exact; of numbers, as they are stored.
+
+    Nothing of those whose results are not chosen.
+    """
+    found: list[Any] = []
+    counts: list[Any] = [np.False_] * len(values)
+    if values:
+        counts[own.results[0]] = np.True_
+    for k in reversed(range(len(values))):
+        o = own.operations[k]
+        for j in o.args:
+            used = counts[k]
+            if o.op == "if_else_zero" and j == o.args[1]:
+                used = used & (abs(_taken(values[o.args[0]])) > 0)
+            counts[j] = counts[j] | used
+    for o, z, count in zip(own.operations[: len(values)], values, counts, strict=True):
+        off: Any = 0.0
+        if o.op == "const":
+            off = constant(o.value, digits).error
+        elif o.op not in ("input", *EXACT) and not chosen(o, own.operations):
+            off = _half_unit(abs(z), digits) + TINY[digits]
+            if o.op in ("add", "sub"):
+                # either argument is a number itself, as far off as the other; and a multiple of the units of
+                # both has no digits to lose (Sterbenz)
+                args = [values[k] for k in o.args]
+                least = np.minimum(*(_half_unit(_least(a), digits) for a in args))
+                exact = abs(z) <= 2.0 ** (digits + 1) * least
+                off = np.where(exact, 0.0, np.minimum(off, np.minimum(*map(abs, args))))
+            if o.op == "mul" and any(_is_power_of_two(values[k]) for k in o.args):
+                off = 0.0
+        found.append(np.where(count, off, 0.0))
+    return found
+
+
+def _is_power_of_two(x: Any) -> bool:
+    low, high = (x.low, x.high) if isinstance(x, Enclosure) else (x, x)
+    return bool(np.ndim(low) == 0 and low == high and abs(np.frexp(low)[0]) == 0.5)
+
+
+def _half_unit(value: Any, digits: int) -> Any:
+    """Half of a unit in the last place of numbers of these sizes."""
+    return np.exp2(np.floor(np.log2(value)) - digits)
+
+
+def _least(x: Any) -> Any:
+    return np.maximum(np.maximum(x.low, -x.high), 0.0) if isinstance(x, Enclosure) else abs(x)

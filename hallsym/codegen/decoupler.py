@@ -12,7 +12,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.intervals import Enclosure
 from hallsym.codegen.naming import identifier
 from hallsym.codegen.operations import NAMES, Graph, graph
 from hallsym.log.phase import wrapped
@@ -114,10 +113,10 @@ class Step:
     name: str
     expression: ca.SX
     remark: str = ""
-    within: tuple[float, int] | None = field(default=None, kw_only=True)
-    """Of a part of a power of a phasor: factor and power of its length that are not exceeded."""
     most: ca.SX | float | None = field(default=None, kw_only=True)
     """Magnitude, of entries, that the value does not exceed whatever it is computed from."""
+    follows: tuple[str, float] | None = field(default=None, kw_only=True)
+    """Of what is looked up: the step of the place, and how much it moves with that at most."""
 
     @cached_property
     def graph(self) -> Graph:
@@ -252,10 +251,9 @@ class Decoupler:
     """Random inputs (n_inputs, s) of poses in the box, of a decoder that claims nothing of readings that
     belong to no pose; any within the limits otherwise."""
     cut: float = 0.0
-    """What bits that whole steps cut off add to the pose [m, rad]; `bounded` counts it as rounding."""
-    bounded: "Callable[[Decoupler, int], Mapping[str, Enclosure]] | None" = None
-    """This decoupler, digits of the significand -> range and rounding of each pose coordinate, flags clear;
-    interval arithmetic on the whole of the steps where there is none."""
+    """What bits that whole steps cut off add to the pose [m, rad]; bounds count it as rounding."""
+    sampled: bool = False
+    """Whether its rounding is bounded pose by pose: too much depends on one another for intervals."""
     listed: tuple[tuple[float, ...], ...] = ()
     """Inputs that the self-test shall list, beside its own."""
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -449,12 +447,9 @@ class Collected:
             self.symbols[name] = ca.SX.sym(name)
         return self.symbols[name]
 
-    def step(
-        self, name: str, expression: ca.SX, remark: str = "", within: tuple[float, int] | None = None,
-        most: ca.SX | float | None = None,
-    ) -> ca.SX:  # fmt: skip
-        """Add a step, once; returns its symbol. `within`, `most`: see `Step`."""
-        return self.add(Step(name, expression, remark, within=within, most=most))
+    def step(self, name: str, expression: ca.SX, remark: str = "", **known: Any) -> ca.SX:
+        """Add a step, once; returns its symbol. `known` of it: see `Step`."""
+        return self.add(Step(name, expression, remark, **known))
 
     def total(self, name: str, terms: Sequence[ca.SX], remark: str = "") -> ca.SX:
         """Add a sum, some terms at a time: compilers take it as one, and readers can read it."""
@@ -467,12 +462,17 @@ class Collected:
 
     def keep(self, wanted: Sequence[str]) -> None:
         """Leave out the steps that none of the wanted ones needs."""
-        needed, kept = set(wanted), []
-        for step in reversed(self.steps):
-            if step.name in needed:
-                kept.append(step)
-                needed |= {s.name() for s in ca.symvar(step.expression)}
-        self.steps = kept[::-1]
+        self.steps = needed(self.steps, wanted)
+
+
+def needed(steps: Sequence[Step], wanted: Sequence[str]) -> list[Step]:
+    """Return the steps that some of the wanted ones need."""
+    names, kept = set(wanted), []
+    for step in reversed(steps):
+        if step.name in names:
+            kept.append(step)
+            names |= {s.name() for s in ca.symvar(step.expression)}
+    return kept[::-1]
 
 
 # -- steps on arrays of samples, statement by statement as C runs them: so the same bits

@@ -11,7 +11,7 @@ import numpy as np
 
 from hallsym.codegen import accepted, backend, residual
 from hallsym.codegen.backend import VERSION, Backend, Port, Stored
-from hallsym.codegen.bounds import Bounds, enclosed, pose_bounds
+from hallsym.codegen.bounds import Bounds, enclosed, least_gains, pose_bounds
 from hallsym.codegen.cost import firmware_cost
 from hallsym.codegen.decoupler import ROOT, Array, Decoupler, Entry, Step, short, steps_on_arrays, unit
 from hallsym.codegen.float_c import Real, shared_steps, statements
@@ -112,7 +112,7 @@ class FloatBackend(Backend):
 
     def summary(self) -> dict[str, Any]:
         """CRC of the table, and how near to zero gains come."""
-        return {"crc32": f"0x{self.crc:08x}", "least_gain": dict(self.bounds.least_gain)}
+        return {"crc32": f"0x{self.crc:08x}", "least_gain": least_gains(self.decoupler)}
 
     # -- the arithmetic ------------------------------------------------------------------------------------
 
@@ -294,6 +294,7 @@ class FloatBackend(Backend):
                 *([] if d.at_pose and not d.redundancy else [backend.STEP]),
             ],
             "work": firmware_cost(d),
+            "least_gain": least_gains(d),
             **(self._of_slopes(names) if self.jacobian else {}),
         }
 

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen.decoupler import Bits, Lookup, Step, Whole
-from hallsym.codegen.operations import BRANCHES, TESTS, Operation
+from hallsym.codegen.operations import TESTS, chosen
 from hallsym.errors import InputError
 from hallsym.output import commented
 
@@ -98,7 +98,9 @@ def _text(step: Step, names: Mapping[str, str], real: Real) -> tuple[list[str], 
         if o.op == "const":
             text.append(real.constant(o.value))
             continue
-        text.append(_choice(o, operations, text) or _operation(o.op, [text[j] for j in o.args], real))
+        choice = chosen(o, operations)
+        parts = [text[j] for j in choice or o.args]
+        text.append("({} ? {} : {})".format(*parts) if choice else _operation(o.op, parts, real))
         if o.op in (*TESTS, "not"):
             continue
         if uses[k] > 1 or (o.op in ("sq", "sign") and "(" in text[o.args[0]]):
@@ -108,31 +110,13 @@ def _text(step: Step, names: Mapping[str, str], real: Real) -> tuple[list[str], 
     return before, _bare(text[found.results[0]])
 
 
-def _choice(o: Operation, operations: Sequence[Operation], text: Sequence[str]) -> str:
-    """`(c ? a : b)` for CasADi's (c ? a : 0) + (!c ? b : 0), else nothing."""
-    if o.op != "add" or any(operations[k].op != "if_else_zero" for k in o.args):
-        return ""
-    (yes, a), (no, b) = (operations[k].args for k in o.args)
-    if operations[no] != Operation("not", (yes,)):
-        return ""
-    return f"({text[yes]} ? {text[a]} : {text[b]})"
-
-
-def straight(steps: Sequence[Step]) -> bool:
-    """Whether steps hold arithmetic and magnitudes only: no comparison or choice."""
-    return not any(o.op in BRANCHES - {"fabs"} for step in steps for o in step.graph.operations)
-
-
 _SIGNS = {"add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<="}
-_CALLS = {"fmin": "lesser", "fmax": "greater"}
 
 
 def _operation(op: str, a: Sequence[str], real: Real) -> str:
     """Return the C text of one operation, in parentheses where it needs them."""
     if op in _SIGNS:
         return f"({a[0]} {_SIGNS[op]} {a[1]})"
-    if op in _CALLS:
-        return f"{_CALLS[op]}({_bare(a[0])}, {_bare(a[1])})"
     none, one = real.constant(0.0), real.constant(1.0)
     texts = {
         "not": "(!{0})",

@@ -12,7 +12,7 @@ import numpy as np
 
 from hallsym.codegen.accepted import Ends, accepted_of
 from hallsym.codegen.backend import Backend
-from hallsym.codegen.bounds import LEAST_GAIN, Bounds, pose_bounds
+from hallsym.codegen.bounds import LEAST_GAIN, Bounds, least_gains, straight
 from hallsym.codegen.box import box_of, shortened
 from hallsym.codegen.decoupler import Box, Decoupler, short, steps_on_arrays
 from hallsym.codegen.float_backend import FloatBackend
@@ -189,16 +189,16 @@ def _floats(
         reach = {c: fit.model.period.get(c, 4 * max(map(abs, box.ends[c]))) / 2 for c in found.pose}
         found = observer.behind(found, reach)
     _check_names(found)
-    if jacobian and found.bounded is not None:
+    if jacobian and not (found.at_pose or straight(found.steps)):
         raise InputError(
             f"--jacobian is not generated for {found.model.name} of the family {found.model.family}, whose "
-            "rounding is bounded by an argument of its own that does not cover slopes; leave it out."
+            "rounding bound does not cover slopes; leave it out."
         )
     variant: dict[str, Any] = {"jacobian": "reading"} if jacobian else {}
     variant |= {} if observer is None else {"observer": asdict(observer)}
     record = {**record, **_recorded({**found.options, **variant}, given)}
     backend = FloatBackend(found, record, real, jacobian, kept=kept)
-    check_gains(backend.bounds)
+    check_gains(found)
     for column, error in backend.bounds.error.items():
         if not error < max(-backend.bounds.low[column], backend.bounds.high[column]):  # grows without end
             raise InputError(
@@ -224,7 +224,7 @@ def _integers(
             )
     found = lower(fit, box, **(UNSEEN if "correction" in options else given))
     _check_names(found)
-    check_gains(pose_bounds(found))
+    check_gains(found)
     check_same(found)
     made = integer_program(found, plan, **{name: value for name, value in given.items() if value is not None})
     chosen = _recorded({**made.options, "plan": made.plan}, given)
@@ -280,9 +280,9 @@ def check(fit: Fit, allow_undetermined: bool) -> None:
         )
 
 
-def check_gains(found: Bounds) -> None:
+def check_gains(d: Decoupler) -> None:
     """Refuse a box within which a gain comes near zero."""
-    for channel, share in found.least_gain.items():
+    for channel, share in least_gains(d).items():
         if not share >= LEAST_GAIN:
             raise InputError(
                 f"Within the box the gain of {channel} falls to {100 * share:.0f} % of its gain at rest, and "

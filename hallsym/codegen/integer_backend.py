@@ -43,7 +43,7 @@ class IntegerBackend(Backend):
     def bounds(self) -> Bounds:
         """Of the program, table and approximations included."""
         low, high, error = ({c: v[k] for c, v in self.program.bounds.items()} for k in range(3))
-        return Bounds(low, high, error, {})
+        return Bounds(low, high, error)
 
     def summary(self) -> dict[str, Any]:
         """Exponents of inputs and outputs."""

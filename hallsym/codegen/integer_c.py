@@ -8,8 +8,8 @@ from typing import Any, cast
 
 import numpy as np
 
+from hallsym.codegen.bounds import straight
 from hallsym.codegen.decoupler import AGREEMENT, ROOT, Decoupler, Step, short, unit
-from hallsym.codegen.float_c import straight
 from hallsym.codegen.operations import Operation
 from hallsym.codegen.residual import LEAST, SUM
 from hallsym.errors import InputError

@@ -8,7 +8,8 @@ either, so the derivative of `fmin` at its kink is the hull of both sides.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import floor, log2, pi
+from itertools import product
+from math import pi
 from typing import Any
 
 import casadi as ca
@@ -34,6 +35,8 @@ class Enclosure:
     low: Numbers
     high: Numbers
     error: Numbers = 0.0
+
+    __array_ufunc__ = None  # arrays leave it to the arithmetic below
 
     @property
     def most(self) -> Numbers:
@@ -79,11 +82,6 @@ def constant(value: float, digits: int) -> Enclosure:
     return Enclosure(value, value, abs(value - stored))
 
 
-def half_ulp(most: float, digits: int) -> float:
-    """Return what one rounding of a number of at most that magnitude changes."""
-    return float(2.0 ** (floor(log2(most)) - digits))
-
-
 def enclose(
     expressions: Sequence[ca.SX], inputs: Mapping[str, Enclosure], digits: int | None = 24
 ) -> list[Enclosure]:
@@ -98,22 +96,28 @@ def enclose(
     return [made[k] for k in found.results]
 
 
-def enclosures(found: Graph, inputs: Mapping[str, Enclosure], digits: int | None = None) -> list[Enclosure]:
-    """Return the enclosure of each operation of a graph; see `enclose`."""
+def enclosures(
+    found: Graph, inputs: Mapping[str, Enclosure], digits: int | None = None, room: float = 0.0,
+    decided: Mapping[int, Enclosure] | None = None,
+) -> list[Enclosure]:  # fmt: skip
+    """Return the enclosure of each operation of a graph; see `enclose`.
+
+    `room`: share of itself by which each result may be off, so that ranges hold what is computed too;
+    `decided`: outcomes of comparisons.
+    """
     made: list[Enclosure] = []
     with np.errstate(all="ignore"):
-        for operation in found.operations:
-            if operation.op == "input":
+        for number, operation in enumerate(found.operations):
+            if decided and number in decided:
+                made.append(decided[number])
+            elif operation.op == "input":
                 made.append(inputs[operation.symbol])
             elif operation.op == "const":
                 made.append(constant(operation.value, digits or 53))
             elif other := _other(operation, found.operations):
                 made.append(Enclosure(*_share(made[operation.args[0]], made[other])))
-            elif extreme := _extreme(operation, found.operations):
-                name, *args = extreme
-                made.append(_enclosed(name, [made[k] for k in args], digits))
             else:
-                made.append(_enclosed(operation.op, [made[k] for k in operation.args], digits))
+                made.append(_enclosed(operation.op, [made[k] for k in operation.args], digits, room))
     return made
 
 
@@ -127,44 +131,62 @@ def _other(operation: Operation, operations: Sequence[Operation]) -> int | None:
     return total.args[1 - total.args.index(x)]
 
 
-def _extreme(operation: Operation, operations: Sequence[Operation]) -> tuple[str, int, int] | None:
-    """Return (fmin or fmax, x, y) where an operation is the choice x < y ? x : y, or the other one.
+Outcomes = list[tuple[Any, list[Enclosure]]]
+"""Where comparisons come out in one way (s,), and the enclosures of the operations there: of each way."""
+NARROWED = 2
+"""Times that what comparisons say of their arguments is taken back to the inputs: signs, then sizes."""
 
-    CasADi writes x < 0 ? x : 0 without the second part.
+
+def outcomes(found: Graph, inputs: Mapping[str, Enclosure], room: float = 0.0) -> Outcomes:
+    """Return the enclosures of each operation for each outcome of the comparisons, exact but for `room`.
+
+    A comparison narrows its arguments, and the inputs that these are, so that x < y ? x : y is the lesser.
     """
-    if operation.op == "if_else_zero" and operations[operation.args[0]].op in TESTS:
-        x, y = operations[operation.args[0]].args
-        for name, kept, none in (("fmin", x, y), ("fmax", y, x)):
-            is_none = (operations[none].op, operations[none].value) == ("const", 0.0)
-            if is_none and _same(operation.args[1], kept, operations):
-                return name, x, y
-    if operation.op != "add" or any(operations[k].op != "if_else_zero" for k in operation.args):
-        return None
-    (test, chosen), (no, other) = (operations[k].args for k in operation.args)
-    if operations[no] != Operation("not", (test,)) or operations[test].op not in TESTS:
-        return None
-    x, y = operations[test].args
-    for name, ends in (("fmin", (x, y)), ("fmax", (y, x))):
-        if all(_same(a, b, operations) for a, b in zip((chosen, other), ends, strict=True)):
-            return name, x, y
-    return None
+    tests = [k for k, o in enumerate(found.operations) if o.op in TESTS]
+    out: Outcomes = []
+    for outcome in product((False, True), repeat=len(tests)):
+        given: dict[str, Enclosure] = dict(inputs)
+        possible: Any = np.True_
+        decided = {k: Enclosure(float(v), float(v)) for k, v in zip(tests, outcome, strict=True)}
+        for _ in range(NARROWED if tests else 0):
+            made = enclosures(found, given, None, room, decided)
+            for k, holds in zip(tests, outcome, strict=True):
+                x, y = found.operations[k].args[:: 1 if holds else -1]
+                made[x], made[y] = _meet(made[x], high=made[y].high), _meet(made[y], low=made[x].low)
+            for o, size in zip(found.operations, made, strict=True):
+                if o.op == "fabs":
+                    (k,) = o.args
+                    low = np.where(made[k].low >= 0, size.low, -size.high)
+                    made[k] = _meet(made[k], low, np.where(made[k].high <= 0, -size.low, size.high))
+            for o, e in zip(found.operations, made, strict=True):
+                possible = possible & ~np.asarray(e.low > e.high)
+                if o.op == "input":
+                    given[o.symbol] = e
+        out.append((possible, enclosures(found, given, None, room, decided)))
+    return out
 
 
-def _same(a: int, b: int, operations: Sequence[Operation]) -> bool:
-    """Whether two operations are the same expression."""
-    x, y = operations[a], operations[b]
-    same_node = (x.op, x.symbol, x.value, len(x.args)) == (y.op, y.symbol, y.value, len(y.args))
-    return a == b or (same_node and all(_same(k, j, operations) for k, j in zip(x.args, y.args, strict=True)))
+def _meet(e: Enclosure, low: Numbers = -np.inf, high: Numbers = np.inf) -> Enclosure:
+    return Enclosure(np.maximum(e.low, low), np.minimum(e.high, high))
 
 
-def _enclosed(op: str, args: list[Enclosure], digits: int | None) -> Enclosure:
+def hull(some: Sequence[tuple[Any, Any]]) -> Any:
+    """Return the range of numbers or enclosures (s,), each where it is possible (s,)."""
+    if len(some) == 1:
+        return some[0][1]
+    low = [np.where(possible, getattr(v, "low", v), np.inf) for possible, v in some]
+    high = [np.where(possible, getattr(v, "high", v), -np.inf) for possible, v in some]
+    return Enclosure(_hull(*low)[0], _hull(*high)[1])
+
+
+def _enclosed(op: str, args: list[Enclosure], digits: int | None, room: float = 0.0) -> Enclosure:
     if op not in _RANGES or (digits and op not in _ERRORS):
         raise InputError(f"Operation {op} of the model has no C without libm.")
     low, high = _RANGES[op](*args)
     if op not in EXACT:
         unknown = np.isnan(low) | np.isnan(high)
-        low = np.where(unknown, -np.inf, low - (ULPS * np.abs(low) + 1e-300))
-        high = np.where(unknown, np.inf, high + (ULPS * np.abs(high) + 1e-300))
+        low = np.where(unknown, -np.inf, low - ((ULPS + room) * np.abs(low) + 1e-300))
+        high = np.where(unknown, np.inf, high + ((ULPS + room) * np.abs(high) + 1e-300))
     if not digits:
         return Enclosure(low, high)
     error = _ERRORS[op](*args)

@@ -39,6 +39,14 @@ class Graph:
         return sum(o.op not in ("input", "const") for o in self.operations)
 
 
+def chosen(operation: Operation, operations: Sequence[Operation]) -> tuple[int, int, int] | None:
+    """Return (c, x, y) where an operation is CasADi's c ? x : y: (c ? x : 0) + (!c ? y : 0)."""
+    if operation.op != "add" or any(operations[k].op != "if_else_zero" for k in operation.args):
+        return None
+    (yes, x), (no, y) = (operations[k].args for k in operation.args)
+    return (yes, x, y) if operations[no] == Operation("not", (yes,)) else None
+
+
 def graph(expressions: Sequence[ca.SX]) -> Graph:
     """Return the graph of scalar expressions; what they share is computed once."""
     symbols = ca.symvar(ca.vertcat(*expressions))

@@ -37,7 +37,6 @@ from firmware import (
 import hallsym
 from hallsym.codegen import Generated
 from hallsym.codegen.backend import COUNT
-from hallsym.codegen.bounds import pose_by_pose
 from hallsym.codegen.box import box_of
 from hallsym.codegen.decoupler import FLAG_BITS, short, steps_on_arrays
 from hallsym.codegen.lowering import rows
@@ -186,7 +185,7 @@ def test_rounding_stays_within_its_bound_of_weak_fields_too(name):
     """The same arithmetic in float32 and in double; where a polynomial turns it leaves twice what it may."""
     code = EVERY[name].made()
     d, backend = code.decoupler, code.backend
-    if backend.type != "float" or d.bounded is not pose_by_pose:
+    if backend.type != "float" or not d.sampled:
         return
     given, rounded = numbers_of(backend, d.drawn(np.random.default_rng(8), 20_000))
     exact = steps_on_arrays(d)(rounded, d.constants)[0]
@@ -369,7 +368,7 @@ def test_stated_errors_hold_and_whatever_the_bits_the_pose_is_finite(name):
     pose, status = backend.step(backend.sample(np.arange(20_000)))
     assert np.isfinite(pose).all()
     assert (status != 0).any() or backend.type == "q31"
-    if d.bounded is not pose_by_pose:  # else of poses alone
+    if not d.sampled:  # else of poses alone
         scaled = pose * np.array([[port.scale] for port in backend.outputs])
         for column, row in zip(d.pose, scaled, strict=True):
             assert code.bounds.low[column] - 1e-7 <= row.min()

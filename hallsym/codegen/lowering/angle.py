@@ -9,7 +9,7 @@ for the circle and the ellipse it is empty.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, reduce
+from functools import cached_property, reduce
 from math import asin, hypot, pi
 
 import casadi as ca
@@ -30,7 +30,6 @@ from hallsym.codegen.decoupler import (
     short,
 )
 from hallsym.codegen.integer_c import UNIT, Compiler, Fixed, Program, planned
-from hallsym.codegen.intervals import Enclosure, constant, enclose, half_ulp
 from hallsym.codegen.lowering import correction as corrections
 from hallsym.codegen.lowering import odd_series
 from hallsym.codegen.lowering.correction import ROUNDED, SIZES, WORST, Grid
@@ -111,7 +110,6 @@ class _Assembly(Collected):
             model, inputs, ends, flags=flags, approximation=self._left,
             exact=lambda given: self.curve.angle(self.curve.phase(given))[None] * share,
             cut=CUT * share * self.correction.slope,
-            bounded=Rounding(self.curve, self.correction),
             listed=self._listed(), redundancy=self.redundancy,
             drawn=residual.drawn_of(model, self.curve.p, self.given) if self.redundancy else None,
             arrays=tuple(self.arrays), options={"correction": self.correction.form}, said=self._said(),
@@ -219,9 +217,12 @@ class _Assembly(Collected):
         entries = [self.add(Lookup(n, cell, "", array, k)) for n, k in _neighbours(grid.degree).items()]
         between = _between(part, entries, self.step)
         about = f"[{unit}] {'a line' if grid.degree == 1 else 'a cubic'} between entries"
+        follows = "place", grid.slope / grid.unit / rate
         if grid.integers:
-            return self.step("correction", scale * self.step("between", between, about), "[rad]")
-        return self.step("correction", between, about)
+            return self.step(
+                "correction", scale * self.step("between", between, about, follows=follows), "[rad]"
+            )
+        return self.step("correction", between, about, follows=follows)
 
     # -- ranges and what is said --------------------------------------------------------------------------
 
@@ -280,62 +281,6 @@ class _Assembly(Collected):
         return tuple(out)
 
 
-CELLS = 256
-
-
-@dataclass(frozen=True, eq=False)
-class Rounding:
-    """Range and rounding of the angle, where the field is not weak."""
-
-    curve: Curve
-    correction: Grid
-
-    def __call__(self, d: Decoupler, digits: int) -> dict[str, Enclosure]:
-        """Return the enclosure of each pose coordinate, offsets at zero; `digits`: of the significand."""
-        found, u = self.correction, 2.0**-digits
-        # a reading is wrapped, and rounded once, by the second part of a turn
-        phase = half_ulp(pi, digits) if self.curve.angle_only else self._vector(d, digits) + octants(digits)
-        error = phase * (1 + found.slope)
-        if found.most:
-            error += self._looked_up(found, digits)
-            error += half_ulp(pi + abs(found.constant) + found.most, digits)
-        if found.most or found.constant:
-            error += u * abs(found.constant) + half_ulp(pi + abs(found.constant), digits)
-            error += half_ulp(pi, digits)  # a wrap rounds once: its first difference is exact
-        end, share = float(np.float32(pi)) * (1 + 4 * u) + error, self.curve.share
-        if share != 1.0:  # a product with an entry that is rounded, of a zero of its own
-            error, end = share * (error + 4 * u * (pi + error)), share * end * (1 + 4 * u)
-        return {c: Enclosure(-end, end, float(error)) for c in self.curve.model.pose}
-
-    def _vector(self, d: Decoupler, digits: int) -> float:
-        """The angle by which rounding can turn (x, y) = M (reading - center), M and center rounded too.
-
-        Difference, entry, product and sum round by a share each, of |M| |reading - center|, which is at most
-        |M| |M^-1| times the radius; only the center's own rounding counts more where the field is weak.
-        """
-        u, matrix = 2.0**-digits, np.abs(self.curve.matrix)
-        if matrix.shape[1] == 2:
-            spread = np.linalg.norm(matrix, 2) * np.linalg.norm(np.linalg.inv(self.curve.matrix), 2)
-        else:  # what readings do off the plane is bounded by their ranges alone; sums of so many terms
-            far = np.abs(np.array([d.ends(c) for c in d.inputs]) - self.curve.center[:, None]).max(axis=1)
-            spread = len(far) * np.linalg.norm(matrix @ far) / WEAK
-        center = np.linalg.norm(matrix @ np.abs(self.curve.center)) * u
-        moved = (1 + 8 * u) * (4 * u * spread + center / (WEAK * (1 - 8 * u)))
-        return asin(min(1.0, float(moved)))
-
-    def _looked_up(self, grid: Grid, digits: int) -> float:
-        """A place that rounding moves, by the slope of what is looked up, and the arithmetic between entries.
-
-        The interpolation is continuous, and what rounding takes into the next cell is looked up there.
-        """
-        u, count = 2.0**-digits, len(grid.values)
-        scale = count / (2 * pi)
-        moved = constant(PI, digits).error + half_ulp(2 * pi, digits)
-        moved += (constant(scale, digits).error * 2 * pi + half_ulp(count, digits)) / scale
-        moved += 2 * pi * 2.0**-31  # bits of a place that are cut off
-        return moved * grid.slope + _rounding_between(grid, digits) + u * grid.most
-
-
 def _neighbours(degree: int) -> dict[str, int]:
     """Return the entries that a line or a cubic goes through: how far they are ahead of the cell, by name."""
     return {"left": 0, "right": 1} if degree == 1 else {"before": -1, "left": 0, "right": 1, "after": 2}
@@ -356,29 +301,6 @@ def _between(part: ca.SX, entries: Sequence[ca.SX], step: Callable[[str, ca.SX],
     share = step("share_of_bends", (1.0 - part) * SIXTH)
     bends = step("bends", (2.0 - part) * bend_left + (1.0 + part) * bend_right)
     return left + part * (rise - share * bends)
-
-
-def _rounding_between(grid: Grid, digits: int) -> float:
-    """Rounding from entries and part of a cell to the correction; a part is exact, entries are as stored."""
-    names = ["part", *_neighbours(grid.degree)]
-    part, *entries = map(ca.SX.sym, names)
-    scale = constant(grid.unit, digits) if grid.integers else Enclosure(1.0, 1.0)
-    most = float(np.abs(grid.values).max())
-    given = dict.fromkeys(names, Enclosure(-most, most)) | {"part": Enclosure(0.0, 1.0)}
-    (found,) = enclose([_between(part, entries, lambda _, value: value)], given, digits)
-    return float(found.error * grid.unit + most * scale.error + 2.0**-digits * grid.most * 2)
-
-
-@cache
-def octants(digits: int) -> float:
-    """From a rounded ratio to the phase, polynomials exact; the ratio in cells, each with intervals."""
-    ratio, u = ca.SX.sym("ratio"), 2.0**-digits
-    ends = np.linspace(0.0, 1.0, CELLS + 1)
-    cells = Enclosure(ends[:-1], ends[1:], 2 * u * ends[1:])
-    (octant,) = enclose([odd(arctangent().coefficients, ratio, ratio * ratio)], {"ratio": cells}, digits)
-    first = octant.error.max()
-    quarter = first + constant(HALF_PI, digits).error + half_ulp(pi / 2, digits)
-    return float(quarter + constant(PI, digits).error + half_ulp(pi, digits))
 
 
 ENOUGH_OF_INTEGERS = 1e-5

@@ -18,7 +18,6 @@ import numpy as np
 from scipy.linalg import qr
 
 from hallsym.codegen import residual
-from hallsym.codegen.bounds import pose_by_pose
 from hallsym.codegen.decoupler import (
     Box,
     Collected,
@@ -501,7 +500,7 @@ class Assembly:
         return made.finished(
             model, inputs, ends, exact=self.exact,
             flags=flags, redundancy=redundancy, leaves=leaves, drawn=self.drawn_of_box,
-            bounded=pose_by_pose, said=self.said(leaves), evident=False,
+            sampled=True, said=self.said(leaves), evident=False,
         )  # fmt: skip
 
     def linear(self) -> list[ca.SX]:

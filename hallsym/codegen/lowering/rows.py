@@ -463,7 +463,7 @@ class _Assembly(Assembly):
     def _clamped(self, wide: Pair, per: ca.SX, tag: str) -> Pair:
         """A phasor, no longer than any of the box is, from what is as many times it as 1 over `per`."""
         made, u = self.made, []
-        most = made.entry("longest", 2.0 * self.waves[0].outer, "1", "most of a phasor", "sign")
+        most = made.entry("longest", 2.0 / self.waves[0].least, "1", "most of a phasor", "sign")
         for axis, v in zip(wave_steps.AXES, wide, strict=True):
             raw = made.step(f"raw_{axis}_{tag}", v * per)
             low = made.step(f"above_{axis}_{tag}", ca.if_else(raw > -most, raw, -most))

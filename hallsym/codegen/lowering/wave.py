@@ -15,18 +15,15 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen import residual
-from hallsym.codegen.bounds import given_of
 from hallsym.codegen.decoupler import (
     Box,
     Collected,
     Decoupler,
     Flag,
     Redundancy,
-    Step,
     short,
     unit,
 )
-from hallsym.codegen.intervals import Enclosure, constant, half_ulp
 from hallsym.codegen.lowering import arrays, rows, wave_steps
 from hallsym.codegen.lowering.phase_curve import check_static
 from hallsym.codegen.lowering.phasors import phasor
@@ -103,7 +100,6 @@ class _Assembly:
         seen = self.drawn(np.random.default_rng(4), TRIALS)
         ends = self.given.over(wave_steps.ranges(inputs, seen, self.given))
         vector = wave_steps.phasor_steps(made, wave, {short(c): made.symbols[c] for c in inputs})
-        to_vector = tuple(made.steps)
         redundancy = self._redundancy(vector)
         self._pose(
             made,
@@ -119,7 +115,6 @@ class _Assembly:
             ),
             redundancy=redundancy, drawn=self.drawn if redundancy else None,
             approximation=found.lc * wave.error + ROUNDED, leaves=self.leaves,
-            bounded=Rounding(wave, self.along, to_vector),
             listed=self._listed(), said=self._said(), evident=False,
         )  # fmt: skip
 
@@ -197,31 +192,3 @@ class _Assembly:
         if self.leaves:
             out += wave_steps.measured("What ends and sides of the array do", self.leaves, TRIALS)
         return tuple(out)
-
-
-@dataclass(frozen=True, eq=False)
-class Rounding:
-    """Range and rounding of place and height, the flag clear, offsets at zero.
-
-    `steps`: those from the readings to the vector, the last two of them.
-    """
-
-    wave: Wave
-    along: str
-    steps: tuple[Step, ...]
-
-    def __call__(self, d: Decoupler, digits: int) -> dict[str, Enclosure]:
-        """Return the enclosure of each pose coordinate; `digits`: of the significand."""
-        found, logarithm = self.wave.phasor, self.wave.logarithm
-        vector = wave_steps.vector_error(self.wave, self.steps, given_of(d, digits), digits)
-        place = wave_steps.place_error(self.wave, vector, digits)
-        height = wave_steps.height_error(self.wave, vector, digits)
-        reach = float(logarithm.at(1.0)) * found.lc  # from the middle: |t| <= 1 whatever the flag says
-        level = constant(found.middle, digits).error + half_ulp(abs(found.middle) + reach, digits)
-        end = pi * found.lc + place
-        return {
-            c: Enclosure(-end, end, place)
-            if c == self.along
-            else Enclosure(found.middle - reach, found.middle + reach, height + level)
-            for c in d.pose
-        }

@@ -9,13 +9,12 @@ accuracy.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import asin, ceil, hypot, log, pi, tanh
+from math import ceil, log, pi, tanh
 
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.decoupler import Box, Collected, Step, unit
-from hallsym.codegen.intervals import Enclosure, constant, enclose, half_ulp
+from hallsym.codegen.decoupler import Box, Collected, unit
 from hallsym.codegen.lowering.odd_series import PI, Odd, odd, shortest
 from hallsym.codegen.lowering.phasors import Phasor
 from hallsym.errors import InputError
@@ -80,11 +79,6 @@ class Wave:
     def least_inside(self) -> float:
         """1 - t^2 at the least field, t = (s - 1) / (s + 1), s = |u|^2."""
         return 1 - tanh(log(self.least)) ** 2
-
-    @property
-    def outer(self) -> float:
-        """Bound of |u| in every round, with the flag clear."""
-        return _outer(self.phasor, 1 / self.least)
 
 
 def _outer(phasor: Phasor, reach: float) -> float:
@@ -232,9 +226,9 @@ def _shared(shares: Mapping[int, list[ca.SX]], powers: Sequence[Pair]) -> Pair:
     return sum(cos[1:], start=cos[0]), sum(sin[1:], start=sin[0])
 
 
-def _times(made: Collected, a: Pair, b: Pair, name: str, within: tuple[float, int] | None = None) -> Pair:
-    real = made.step(f"real{name}", a[0] * b[0] - a[1] * b[1], within=within)
-    return real, made.step(f"imaginary{name}", a[0] * b[1] + a[1] * b[0], within=within)
+def _times(made: Collected, a: Pair, b: Pair, name: str) -> Pair:
+    real = made.step(f"real{name}", a[0] * b[0] - a[1] * b[1])
+    return real, made.step(f"imaginary{name}", a[0] * b[1] + a[1] * b[0])
 
 
 class Powers:
@@ -256,11 +250,11 @@ class Powers:
         if n == FIFTH and self.fifth_alone:
             return self._fifth()
         if n % 2:
-            return _times(made, self(n - 1), self(1), f"_{n}{tag}", (1.0, n))
+            return _times(made, self(n - 1), self(1), f"_{n}{tag}")
         a, b = self(n // 2)
-        real = made.step(f"real_{n}{tag}", a * a - b * b, within=(1.0, n))
-        half = made.step(f"half_{n}{tag}", a * b, within=(0.5, n))
-        return real, made.step(f"imaginary_{n}{tag}", half + half, within=(1.0, n))
+        real = made.step(f"real_{n}{tag}", a * a - b * b)
+        half = made.step(f"half_{n}{tag}", a * b)
+        return real, made.step(f"imaginary_{n}{tag}", half + half)
 
     def _fifth(self) -> Pair:
         """cos 5 x = cos x (4 y^2 - 2 y - 1), sin 5 x = sin x (4 y^2 + 2 y - 1), y = cos 2 x: no fourth power.
@@ -268,14 +262,14 @@ class Powers:
         Five products fewer than by squares where the length is needed too.
         """
         made, tag, (a, b) = self.made, self.tag, self(1)
-        size = made.step(f"length_2{tag}", a * a + b * b, "[1] squares of the length", (1.0, 2))
-        square = made.step(f"length_4{tag}", size * size, within=(1.0, 4))
-        squared = made.step(f"real_2{tag}", a * a - b * b, within=(1.0, 2))
-        twice = made.step(f"twice_real_2{tag}", squared + squared, within=(2.0, 2))
-        even = made.step(f"even_5{tag}", twice * twice - square, within=(3.0, 4))
-        side = made.step(f"side_5{tag}", twice * size, within=(2.0, 4))
-        real = made.step(f"real_5{tag}", a * (even - side), within=(1.0, 5))
-        return real, made.step(f"imaginary_5{tag}", b * (even + side), within=(1.0, 5))
+        size = made.step(f"length_2{tag}", a * a + b * b, "[1] squares of the length")
+        square = made.step(f"length_4{tag}", size * size)
+        squared = made.step(f"real_2{tag}", a * a - b * b)
+        twice = made.step(f"twice_real_2{tag}", squared + squared)
+        even = made.step(f"even_5{tag}", twice * twice - square)
+        side = made.step(f"side_5{tag}", twice * size)
+        real = made.step(f"real_5{tag}", a * (even - side))
+        return real, made.step(f"imaginary_5{tag}", b * (even + side))
 
 
 def _chain(n: int) -> set[int]:
@@ -344,62 +338,3 @@ def arctangent_steps(made: Collected, wave: Wave, u: Pair, tag: str = "") -> ca.
     beyond = made.step(f"beyond{tag}", PI - quadrant)
     half = made.step(f"half{tag}", ca.if_else(u[0] < 0, beyond, quadrant))
     return made.step(f"phase{tag}", ca.if_else(u[1] < 0, -half, half), "[rad] angle of the phasor")
-
-
-CELLS = 512
-"""Cells of the arguments of arctangent and logarithm."""
-SHORT = 1 - 1e-5
-"""Share of the least field that rounding of the flag's own value leaves at least."""
-RADIAL = 64
-"""Roundings of a radial term, each a share of it: entry and powers up to the twelfth harmonic."""
-
-
-def vector_error(wave: Wave, steps: Sequence[Step], known: dict[str, Enclosure], digits: int) -> float:
-    """Return a bound of the length by which rounding moves (cos, sin), the last of some steps, the flag
-    clear; `known`: inputs and entries."""
-    for step in steps:
-        (found,) = enclose([step.expression], known, digits)
-        # a vector of a round is no longer than `outer` with the flag clear, and its powers as they are made
-        factor, power = step.within or (1.0, 1)
-        if step.within or step.name.startswith(("cos", "sin")):
-            most = factor * wave.outer**power
-            found = Enclosure(np.maximum(found.low, -most), np.minimum(found.high, most), found.error)
-        known[step.name] = found
-    return hypot(*(float(known[step.name].error) for step in steps[-2:]))
-
-
-def _moved(wave: Wave, vector: float) -> float:
-    """Share of its length by which rounding moves the vector at most."""
-    return vector / (wave.least * SHORT - vector)
-
-
-def place_error(wave: Wave, vector: float, digits: int) -> float:
-    """Return the bound of the place [m]: the turn of the vector, arctangent, factor, sum and wrap."""
-    lc, u = wave.phasor.lc, 2.0**-digits
-    t = ca.SX.sym("t")
-    ends = np.linspace(0.0, 1.0, CELLS + 1)
-    # numerator, denominator and quotient round once each; the first rounds by a share of itself
-    cells = Enclosure(ends[:-1], ends[1:], (3 * u + 4 * u * u) * ends[1:])
-    (made,) = enclose([QUARTER_PI + odd(wave.arctangent.coefficients, t, t * t)], {"t": cells}, digits)
-    octants = float(np.max(made.error)) + constant(QUARTER_PI, digits).error
-    turn = asin(min(1.0, _moved(wave, vector))) + octants + constant(PI, digits).error + half_ulp(PI, digits)
-    most = pi * lc
-    wrap = 2 * constant(most, digits).error + 2 * half_ulp(most, digits)
-    return turn * lc + constant(lc, digits).error * pi + 2 * half_ulp(most * (1 + 1e-6), digits) + wrap
-
-
-def height_error(wave: Wave, vector: float, digits: int) -> float:
-    """Return the bound of what is added to the middle height [m]: stretch, logarithm, factor."""
-    lc, least, stretch = wave.phasor.lc, wave.least * SHORT, _moved(wave, vector)
-    size, t = ca.SX.sym("size"), ca.SX.sym("t")
-    ends = np.geomspace(least**2, least**-2, CELLS + 1)
-    rounded = 2.0**-digits * 3 * ends[1:]  # two squares and their sum
-    (found,) = enclose(
-        [(size - 1.0) / (size + 1.0)], {"size": Enclosure(ends[:-1], ends[1:], rounded)}, digits
-    )
-    (made,) = enclose([odd(wave.logarithm.coefficients, t, t * t)], {"t": found}, digits)
-    error, most = float(np.max(made.error)) + stretch * (1 + stretch), float(np.max(made.most))
-    if wave.radial:  # rounded as each of its products, and once more by the sum
-        term = sum(f * wave.outer ** (2 * n - 2) for n, f in radial_of(wave.phasor).items())
-        error += RADIAL * 2.0**-digits * term + half_ulp(most + term, digits)
-    return error * lc + constant(lc, digits).error * most + half_ulp(lc * most, digits)
