@@ -43,7 +43,8 @@ def pose_bounds(d: Decoupler, digits: int = 24) -> Bounds:
     if d.sampled:
         found = pose_by_pose(d, digits)
     elif d.at_pose:  # its range as an analysis of the C sees it
-        known = {name: Enclosure(e.low - e.error, e.high + e.error) for name, e in given_of(d, digits).items()}
+        given = given_of(d, digits).items()
+        known = {name: Enclosure(e.low - e.error, e.high + e.error) for name, e in given}
         for step in d.steps:
             enclosed_step(step, known)
         every = zip((known[step.name] for step in d.steps[-len(d.pose) :]), _by_cells(d, digits), strict=True)
@@ -252,9 +253,17 @@ def pose_by_pose(d: Decoupler, digits: int) -> list[Enclosure]:
     assert d.drawn is not None  # of every decoder that claims nothing of readings of no pose
     inputs = d.drawn(np.random.default_rng(6), BOUNDED)
     named = dict(zip(map(short, d.inputs), inputs, strict=True))
-    values, errors = rounding(d.steps, named, {e.name: e.value for e in d.entries}, digits, len(d.pose))
-    ends = (values.min(axis=1), values.max(axis=1), ROOM * errors.max(axis=1))
-    return [Enclosure(*map(float, e)) for e in zip(*ends, strict=True)]
+    stored = {e.name: float(constant(e.value, digits).error) for e in d.entries}
+    known: Numbers = {**named, **{e.name: e.value for e in d.entries}}
+    with np.errstate(all="ignore"):
+        worked = [run_step(step, known) for step in d.steps]
+        off = [_rounded(step.graph, values, digits) for step, values in zip(d.steps, worked, strict=True)]
+        errors = _errors(d.steps, worked, off, stored, len(d.pose))
+    values = [known[step.name] for step in d.steps[-len(d.pose) :]]
+    return [
+        Enclosure(float(np.min(v)), float(np.max(v)), ROOM * float(np.max(e)))
+        for v, e in zip(values, errors, strict=True)
+    ]
 
 
 Numbers = dict[str, Any]
@@ -290,28 +299,6 @@ _SLOPES: dict[str, Callable[..., tuple]] = {
     "sq": lambda z, x: (2 * x,),
 }
 """Derivatives by the arguments of an operation of result z; choices are between equals where they turn."""
-
-
-def rounding(
-    steps: Sequence[Step],
-    inputs: Mapping[str, np.ndarray],
-    entries: Mapping[str, float],
-    digits: int,
-    last: int,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return values and rounding errors (last, s) of the last steps.
-
-    `inputs` (s,) by symbol, exact; `entries`: numbers of the table; `digits`: of the significand.
-    """
-    known: Numbers = {**inputs, **entries}
-    with np.errstate(all="ignore"):
-        worked = [run_step(step, known) for step in steps]
-        off = [_rounded(step.graph, values, digits) for step, values in zip(steps, worked, strict=True)]
-        stored = {name: float(constant(value, digits).error) for name, value in entries.items()}
-        found = [known[step.name] for step in steps[-last:]], _errors(steps, worked, off, stored, last)
-    shape = np.shape(next(iter(inputs.values())))
-    values, errors = (np.array([np.broadcast_to(v, shape) for v in some]) for some in found)
-    return values, errors
 
 
 def _errors(

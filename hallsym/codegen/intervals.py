@@ -147,7 +147,7 @@ def outcomes(found: Graph, inputs: Mapping[str, Enclosure], room: float = 0.0) -
     for outcome in product((False, True), repeat=len(tests)):
         given: dict[str, Enclosure] = dict(inputs)
         possible: Any = np.True_
-        decided = {k: Enclosure(float(v), float(v)) for k, v in zip(tests, outcome, strict=True)}
+        decided = {k: Enclosure(np.float64(v), np.float64(v)) for k, v in zip(tests, outcome, strict=True)}
         for _ in range(NARROWED if tests else 0):
             made = enclosures(found, given, None, room, decided)
             for k, holds in zip(tests, outcome, strict=True):
