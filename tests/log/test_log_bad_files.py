@@ -55,7 +55,7 @@ def test_unknown_suffix_and_format(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("0,1\n0,2\n", "no column whose name ends with a unit; it has unnamed_0, unnamed_1"),
+        ("0,1\n0,2\n", "no column whose name ends with a unit; it has unnamed_0"),
         ("t_s,t_s\n0,2\n", "'t_s' stands there twice"),
         ("# only\n\n", "must hold a header line"),
         ("t_s,x_ref_m\n", "has no samples"),
