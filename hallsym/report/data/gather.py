@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +14,8 @@ from hallsym.estimation.decoding import columns_of
 from hallsym.log import Block, Log, extended
 from hallsym.log.batches import SIZE, Weigh
 from hallsym.report.data.survey import (
+    FITTED,
+    NOMINAL,
     Group,
     Survey,
     Trace,
@@ -149,10 +152,10 @@ Errors = Iterator[tuple[Block, np.ndarray]]
 """Blocks with their errors (n_pose, samples) in SI, nan where a sample does not count."""
 
 
-def _decoded(log: Log, fit: Fit, keep: Weigh | None, by: str) -> Errors:
+def _decoded(log: Log, fit: Fit, keep: Weigh | None, version: str) -> Errors:
     """Yield the errors by the `fitted` or by the `nominal` parameters."""
-    for part in decoded(log, fit, keep):
-        yield part.block, np.where(part.kept, getattr(part, by) - part.reference, np.nan)
+    for block, (errors,), kept in decoded(log, fit, keep, [version]):
+        yield block, np.where(kept, errors, np.nan)
 
 
 def diagnosed(base: Base) -> Errors:
@@ -166,13 +169,8 @@ def diagnosed(base: Base) -> Errors:
         yield block, np.where(kept, errors(block), np.nan)
 
 
-@dataclass(frozen=True, eq=False)
-class _Map:
-    """Cells without numbers, how many they are, and which of them each sample of a block is in."""
-
-    frame: Cells
-    cells: int
-    place: Callable[[Block], np.ndarray]
+_Map = tuple[Callable[..., Cells], int, Callable[[Block], np.ndarray]]
+"""What makes cells of `count`, `mean` and `rms`; how many they are; the cell of each sample of a block."""
 
 
 def gather(
@@ -189,8 +187,8 @@ def gather(
     """
     survey = look_over(log, fit, keep)
     chosen = worst_first(survey, fit.noise_floor, RUNS)
-    passes = {"nominal": _decoded(log, fit, keep, "nominal")} if nominal else {}
-    passes[label] = _decoded(log, fit, keep, "fitted")
+    passes = {NOMINAL: _decoded(log, fit, keep, NOMINAL)} if nominal else {}
+    passes[label] = _decoded(log, fit, keep, FITTED)
     passes |= {} if after is None else {"after": diagnosed(after)}
     places = _maps(fit, survey)
     found = {key: _read(blocks, fit, survey, places, chosen) for key, blocks in passes.items()}
@@ -207,16 +205,16 @@ def _read(
 ) -> tuple[tuple[Cells, ...], dict[int, Trace]]:
     """Return maps and the traces of the chosen runs from the errors (n_pose, samples) of every block."""
     n = len(fit.model.pose)
-    tallies = [Tally(n, m.cells) for m in places]
+    tallies = [Tally(n, cells) for _, cells, _ in places]
     traces = {run: Trace(1 + n) for run in chosen}
     for block, errors in blocks:
-        for m, tally in zip(places, tallies, strict=True):
-            tally.add(m.place(block), errors)
+        for (_, _, place), tally in zip(places, tallies, strict=True):
+            tally.add(place(block), errors)
         if block.run in traces:
             time = block.data["t_s"] if survey.timed else np.zeros(errors.shape[1])
             traces[block.run].add(np.vstack([time, errors]))
     pairs = zip(places, tallies, strict=True)
-    return tuple(replace(m.frame, count=t.count, mean=t.mean, rms=t.rms) for m, t in pairs), traces
+    return tuple(made(count=t.count, mean=t.mean, rms=t.rms) for (made, *_), t in pairs), traces
 
 
 def _maps(fit: Fit, survey: Survey) -> list[_Map]:
@@ -244,9 +242,8 @@ def _maps(fit: Fit, survey: Survey) -> list[_Map]:
     return maps
 
 
-def _frame(by: str, fit: Fit, **more: Any) -> Cells:
-    nothing = np.zeros(0)
-    return Cells(by, fit.model.pose, nothing, nothing, nothing, periodic=fit.model.period, **more)
+def _cells(by: str, fit: Fit, **more: Any) -> Callable[..., Cells]:
+    return partial(Cells, by, fit.model.pose, periodic=fit.model.period, **more)
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,14 +278,14 @@ class _Axis:
 
 
 def _along(axis: _Axis, fit: Fit) -> _Map:
-    frame = _frame(axis.label, fit, edges=axis.factor * axis.edges(ALONG))
-    return _Map(frame, ALONG, lambda block: axis.place(block, ALONG))
+    made = _cells(axis.label, fit, edges=axis.factor * axis.edges(ALONG))
+    return made, ALONG, lambda block: axis.place(block, ALONG)
 
 
 def _plane(x: _Axis, y: _Axis, fit: Fit) -> _Map:
     sides = {"edges": x.factor * x.edges(PLANE), "up": y.label, "across": y.factor * y.edges(PLANE)}
-    frame = _frame(x.label, fit, **sides)
-    return _Map(frame, PLANE**2, lambda block: x.place(block, PLANE) + PLANE * y.place(block, PLANE))
+    made = _cells(x.label, fit, **sides)
+    return made, PLANE**2, lambda block: x.place(block, PLANE) + PLANE * y.place(block, PLANE)
 
 
 def _grouped(by: str, groups: Sequence[Group], fit: Fit, holdout: Sequence[int] = ()) -> _Map:
@@ -300,4 +297,4 @@ def _grouped(by: str, groups: Sequence[Group], fit: Fit, holdout: Sequence[int] 
     def place(block: Block) -> np.ndarray:
         return np.full(len(next(iter(block.data.values()))), at.get(block.run, -1))
 
-    return _Map(_frame(by, fit, labels=labels, marked=marked), len(groups), place)
+    return _cells(by, fit, labels=labels, marked=marked), len(groups), place

@@ -19,7 +19,7 @@ from hallsym.families.recording import as_read
 from hallsym.log import Log
 from hallsym.log.batches import Weigh
 from hallsym.model import Family
-from hallsym.report.data.survey import Decoded, decoded
+from hallsym.report.data.survey import decoded
 
 HIGHEST = 12
 """Harmonics per period that are always fitted: clipping and the second harmonic of a field's third reach this
@@ -106,8 +106,8 @@ def periodic_error(log: Log, fit: Fit, keep: Weigh | None = None) -> PeriodicErr
     mount, pattern, elsewhere = _sources(model.family)
     orders = tuple(sorted({*range(1, HIGHEST + 1), *pattern}))
     sums = _Sums(orders, 2 * np.pi / period)
-    for block in decoded(log, fit, keep):
-        sums.add(block, k)
+    for block, errors, kept in decoded(log, fit, keep):
+        sums.add(block.run, block.data[model.references[k]], errors[:, k], kept)
     if not sums.enough:
         return None
     before, after = sums.solved(0), sums.solved(1)
@@ -152,14 +152,12 @@ class _Sums:
     def width(self) -> int:
         return 2 * len(self.orders) + 1
 
-    def add(self, block: Decoded, k: int) -> None:
-        """Add a block: the error of coordinate k by the nominal and by the fitted parameters."""
-        reference = block.reference[k]
+    def add(self, run: int, reference: np.ndarray, errors: np.ndarray, kept: np.ndarray) -> None:
+        """Add a block: the errors (2, samples) by the nominal and by the fitted parameters."""
         phase = self.rate * reference
         waves = np.array([f(n * phase) for n in self.orders for f in (np.cos, np.sin)])
-        errors = [block.nominal[k] - reference, block.fitted[k] - reference]
         rows = np.vstack([waves, reference[None] * self.rate, errors])
-        good = block.kept & np.isfinite(rows).all(axis=0)
+        good = kept & np.isfinite(rows).all(axis=0)
         ahead = np.sign(np.diff(reference, prepend=reference[:1]))
         if len(ahead) > 1:
             ahead[0] = ahead[1]
@@ -170,8 +168,7 @@ class _Sums:
             if chosen.shape[1]:
                 self.square = self.square + chosen @ chosen.T
                 sums = np.r_[chosen.sum(axis=1), chosen.shape[1]]
-                key = (block.block.run, direction)
-                self.groups[key] = self.groups.get(key, 0.0) + sums
+                self.groups[run, direction] = self.groups.get((run, direction), 0.0) + sums
 
     @property
     def enough(self) -> bool:

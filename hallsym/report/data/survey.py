@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -70,40 +69,16 @@ class Trace:
 # -- a log decoded block by block, by the nominal and by the fitted parameters ---------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Decoded:
-    """A block with its decoded poses, (n_pose, samples) each, computed on demand.
+NOMINAL, FITTED = "nominal", "fitted"
 
-    `offsets`: displacements of the run. `kept`: (samples,) whether each sample counts.
+
+def decoded(
+    log: Log, fit: Fit, keep: Weigh | None = None, versions: Sequence[str] = (NOMINAL, FITTED)
+) -> Iterator[tuple[Block, np.ndarray, np.ndarray]]:
+    """Yield each block of `log` with its errors (versions, n_pose, samples) and which samples count.
+
+    The errors are in SI; samples to which `keep` gives weight 0 do not count.
     """
-
-    block: Block
-    decoder: Decoder
-    offsets: np.ndarray
-    kept: np.ndarray
-
-    def rows(self, columns: tuple[str, ...]) -> np.ndarray:
-        """Return columns of the block, (columns, samples)."""
-        return np.array([self.block.data[c] for c in columns]).reshape(len(columns), len(self.kept))
-
-    @cached_property
-    def reference(self) -> np.ndarray:
-        """The logged pose."""
-        return self.rows(self.decoder.model.references)
-
-    @cached_property
-    def nominal(self) -> np.ndarray:
-        """The pose by the nominal parameters."""
-        return self.decoder.pose(self.block, None)
-
-    @cached_property
-    def fitted(self) -> np.ndarray:
-        """The pose by the fitted parameters."""
-        return self.decoder.pose(self.block, self.offsets)
-
-
-def decoded(log: Log, fit: Fit, keep: Weigh | None = None) -> Iterator[Decoded]:
-    """Yield the blocks of `log` in order, each with what decodes it; samples of weight 0 do not count."""
     decode, model = Decoder(fit), fit.model
     columns = (*columns_of(model), *(("t_s",) if "t_s" in log.columns else ()))
     sigma = {c: s.value for c, s in fit.noise.sigmas.items()}
@@ -111,9 +86,11 @@ def decoded(log: Log, fit: Fit, keep: Weigh | None = None) -> Iterator[Decoded]:
     for block in extended(log, model, sigma, model.named(fit.values)).blocks(columns, size=SIZE):
         if block.run not in offsets:
             offsets[block.run] = decode.offsets(block.run, np.array([block.data[c][0] for c in model.state]))
-        count = len(block.data[columns[0]])
-        kept = np.ones(count, dtype=bool) if keep is None else keep(block) > 0
-        yield Decoded(block, decode, offsets[block.run], kept)
+        by = {NOMINAL: None, FITTED: offsets[block.run]}
+        reference = np.array([block.data[c] for c in model.references])
+        errors = np.array([decode.pose(block, by[version]) - reference for version in versions])
+        kept = np.ones(errors.shape[-1], dtype=bool) if keep is None else keep(block) > 0
+        yield block, errors, kept
 
 
 # -- what one pass finds ---------------------------------------------------------------------------------
@@ -160,17 +137,18 @@ def look_over(log: Log, fit: Fit, keep: Weigh | None = None) -> Survey:
     first: dict[int, np.ndarray] = {}
     sums: dict[int, np.ndarray] = {}
     most: dict[int, np.ndarray] = {}
-    for part in decoded(log, fit, keep):
-        run, state = part.block.run, part.rows(fit.model.state)
-        errors = (np.array([part.nominal, part.fitted]) - part.reference)[:, :, part.kept].reshape(2 * n, -1)
-        rows = np.vstack([part.reference, state])[:, part.kept]
+    columns = (*fit.model.references, *fit.model.state)
+    for block, both, kept in decoded(log, fit, keep):
+        run, errors = block.run, both[:, :, kept].reshape(2 * n, -1)
+        whole = np.array([block.data[c] for c in columns])
+        rows = whole[:, kept]
         added = [errors.shape[1:], np.einsum("ij,ij->i", errors, errors), rows[n:].sum(axis=1)]
         ends = [np.abs(errors).max(axis=1, initial=0.0)]
         ends += [side.max(axis=1, initial=-np.inf) for side in (-rows, rows)]
-        first.setdefault(run, state[:, 0])
+        first.setdefault(run, whole[n:, 0])
         sums[run] = sums.get(run, 0.0) + np.concatenate(added)
         most[run] = np.maximum(most.get(run, -np.inf), np.concatenate(ends))
-        samples += len(part.kept)
+        samples += len(kept)
     count, squares, total = np.split(np.array([*sums.values()]), [1, 1 + 2 * n], axis=1)
     peak, low, high = np.split(np.array([*most.values()]), [2 * n, 2 * n + len(rows)], axis=1)
     nominal, fitted = (
