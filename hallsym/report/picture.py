@@ -193,8 +193,8 @@ DENSE = 1000
 # -- panels of one row per value, and maps ----------------------------------------------------------------
 
 
-LONGEST, BESIDE = 44, 13
-"""Characters of a name in a row; longer ones are cut. Names with more than `BESIDE` stand above their bar."""
+LONGEST = 44
+"""Characters of a name in a row; longer ones are cut."""
 FULL = 0.1
 """Cells of a map below minus this part of the fullest have a dash."""
 
@@ -210,32 +210,25 @@ class Row:
     look: Look = AFTER
 
 
-def rows(
-    title: str, x: Axis, found: Sequence[Row], *, floor: float = 0.0, above: bool | None = None
-) -> Panel:  # fmt: skip
+def rows(title: str, x: Axis, found: Sequence[Row], *, floor: float = 0.0) -> Panel:
     """Return one row per value, a bar from 0 or, on an axis of decades, from its end; a nan has no bar.
 
-    The noise floor, where there is one, is dashed. `above`: names stand above their bars, as long ones do.
+    The noise floor, where there is one, is dashed.
     """
     names = [r.name if len(r.name) <= LONGEST else f"{r.name[: LONGEST - 1]}…" for r in found]
-    above = max(map(len, names)) > BESIDE if above is None else above
-    half, zero = 0.22 if above else 0.32, (x.low or 0.0) if x.log else 0.0
+    half, zero = 0.32, (x.low or 0.0) if x.log else 0.0
     layers = [] if x.log else [level(0.0, Look(SOFT, width=0.6), up=True)]
     for k, r in enumerate(found):
         if r.span is None:
             layers.append(boxes(zero, r.value, k - half, k + half, r.look))
         else:
             layers += [line(r.span, (k, k), MEDIANS[1]), points(r.value, k, r.look)]
-    if above:
-        layers.append(text(names, [x.low or 0.0] * len(names), np.arange(len(names)) - 0.48))
-        names = [""] * len(names)
     says = f"{title}: {'; '.join(f'{r.name} {r.shown}' for r in found)}"
     if floor > 0:
         layers.append(level(floor, up=True))
         says += f"; noise floor {number(floor)}"
-    y = Axis(low=len(found) - 0.4, high=-0.8 if above else -0.6, names=names)
-    height = (30.0 if above else 15.0) * len(found) + 12
-    return Panel(x, y, layers, title, says, height, beside=[r.shown for r in found])
+    y = Axis(low=len(found) - 0.4, high=-0.6, names=names)
+    return Panel(x, y, layers, title, says, 15.0 * len(found) + 12, beside=[r.shown for r in found])
 
 
 def tiles(

@@ -101,9 +101,9 @@ def concise(value: float, std: float | None) -> str:
     return f"{value:.{decimals}f}({round(std * 10**decimals):d})"
 
 
-def in_units(value: float, std: float | None, si: str) -> tuple[str, str]:
+def in_units(value: float, std: float | None, si: str, *, bare: bool = False) -> tuple[str, str]:
     """Return value and 1 sigma of a parameter or a combination as `concise` does, and their unit."""
-    factor, unit = parameter_unit(si)
+    factor, unit = parameter_unit(si, bare=bare)
     return concise(value * factor, None if std is None else std * factor), unit
 
 

@@ -198,7 +198,7 @@ def budget_bars(budgets: Mapping[str, Budget], *, worst: bool = False) -> p.Pict
         ]
         x = p.Axis("share of u_c² [%]", min(0.0, own.min()), 1.1 * max(own.max(), 1.0))
         title = f"{what}{', worst position' if worst else ''}\n{size}"
-        panels.append(p.rows(title, x, rows, above=False))
+        panels.append(p.rows(title, x, rows))
     return p.Picture(panels, across=len(panels))
 
 

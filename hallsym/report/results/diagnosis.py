@@ -16,7 +16,6 @@ from hallsym.diagnosis import (
     Band,
     CurveShape,
     Diagnosis,
-    Estimate,
     Significance,
     Statement,
     noise_text,
@@ -32,9 +31,9 @@ from hallsym.report.data.gather import RunSeries
 from hallsym.report.panels import Sizes
 from hallsym.report.picture import BEFORE
 from hallsym.report.results import shared
-from hallsym.report.tables import attributes, concise
+from hallsym.report.tables import attributes, in_units
 from hallsym.report.words import NOT_DECODED, name, number, scale
-from hallsym.units import parameter_unit, readable, scaled, typeset
+from hallsym.units import readable, scaled, typeset
 
 FEW_UNITS = 8
 """Units of a test by signs below which the least possible p-value is stated: 2 / 2^8 is 0.008."""
@@ -42,8 +41,6 @@ LEAST_P = 1e-6
 """P-values below this are printed as below it: no test is better than its assumptions."""
 STATES = {"no gap": "good", "explained": "good"}
 """Verdicts that close the diagnosis; every other one is open."""
-MOST = 12
-"""Statements on where a gap lies that are drawn; all of them are in the table."""
 
 
 def diagnosis_content(
@@ -248,12 +245,6 @@ def shrinkage_text(value: float, interval: tuple[float, float] | None) -> str:
     return percent(value, 1) + (f" ({_ends(interval)})" if interval and known else "")
 
 
-def _estimate(p: Estimate) -> tuple[str, str]:
-    """Return value with 1 sigma, and unit."""
-    factor, unit = parameter_unit(p.unit, bare=True)
-    return concise(p.value * factor, None if p.std is None else p.std * factor), unit
-
-
 def shrinks_text(d: Diagnosis) -> str:
     """Return the decrease of the error, on the holdout runs and, separately, over all runs.
 
@@ -295,10 +286,7 @@ def _effects_section(d: Diagnosis) -> Section:
     if not (d.effects or d.groups or d.ranked):
         none = "None. No effect of the catalogue lowers the gap by what is worth reporting."
         return Section("effects", "Which effects", [Note(none)])
-    rows = [(e.name, e.shrinkage, e.interval) for e in d.effects if math.isfinite(e.shrinkage)]
-    drawn = [shares(rows, "decrease of the gap [%]", 1)] if len(rows) > 1 else []
-    ranking = p.Picture(drawn, words="With the 95 % interval of each effect")
-    return Section("effects", "Which effects", [ranking, _ranked(d), _meanings(d), *_found(d), *_groups(d)])
+    return Section("effects", "Which effects", [_ranked(d), _meanings(d), *_found(d), *_groups(d)])
 
 
 def _ranked(d: Diagnosis) -> Table:
@@ -329,7 +317,8 @@ def _meanings(d: Diagnosis) -> Items:
 
 def _found(d: Diagnosis) -> list[Block]:
     """Return the parameters of the effects."""
-    rows = [[e.name, what, *_estimate(p)] for e in d.effects for what, p in e.parameters.items()]
+    found = [(e.name, what, p) for e in d.effects for what, p in e.parameters.items()]
+    rows = [[name, what, *in_units(p.value, p.std, p.unit, bare=True)] for name, what, p in found]
     head = ["effect", "parameter", "value (1 sigma)", "unit"]
     return [Table(head, rows, "parameters of the effects", left=2, wordy=(3,), sortable=changed(d))]
 
@@ -349,8 +338,8 @@ def _groups(d: Diagnosis) -> list[Block | str]:
 def _where_section(d: Diagnosis) -> Section:
     """Return the statements on where the gap lies."""
     above = "where the excess over the noise lies" if d.verdict in QUIET else "where the gap lies"
-    said = _statements(d.where, above, "share of the excess above the noise floor [%]")
-    if not said and d.size.rows:
+    said = _statements(d.where, above)
+    if not d.where and d.size.rows:
         said = ["The excess above the noise depends on no logged quantity."]
     return Section("where", "Where the gap lies", said)
 
@@ -362,8 +351,7 @@ def _rest_section(d: Diagnosis) -> Section:
     if rest:
         said.append(f"{percent(rest.share)} of the excess above the noise floor has no known cause.")
     if d.remaining and d.remaining != d.where:
-        title = "share of the unexplained excess [%]"
-        said += _statements(d.remaining, "where the unexplained rest lies", title)
+        said += _statements(d.remaining, "where the unexplained rest lies")
     elif d.remaining:
         said.append(Note("It lies where the gap lies, see above."))
     elif rest:
@@ -374,22 +362,12 @@ def _rest_section(d: Diagnosis) -> Section:
     return Section("rest", "What no effect explains", said)
 
 
-def _statements(statements: Sequence[Statement], head: str, title: str) -> list[Block | str]:
-    drawn = [(_place(s), s.share, None) for s in statements if math.isfinite(s.share)][:MOST]
+def _statements(statements: Sequence[Statement], head: str) -> list[Block | str]:
     rows = [
         [s.text, "" if s.held_out is None else percent(max(s.held_out, 0.0)), p_text(s.p_value)]
         for s in statements
     ]
-    chart = [shares(drawn, title, look=BEFORE)] if drawn else []
-    table = Table([head, "on holdout runs", "p"], rows, "statements on the places, from the fitted runs")
-    return [p.Picture(chart), table] if statements else []
-
-
-def _place(s: Statement) -> str:
-    """Return the label of a bar; the range of a coordinate is left to the statement under it."""
-    if s.by in ("output", "sensor"):
-        return f"{s.by} {name(s.at)}"
-    return f"{s.by}: {s.at}" if s.at and s.by in ("link", "run", "frequency") else s.by
+    return [Table([head, "on holdout runs", "p"], rows, "statements on the places, from the fitted runs")]
 
 
 # -- what else was looked at --------------------------------------------------------------
@@ -433,24 +411,6 @@ def gap(d: Diagnosis) -> p.Picture:
         x = p.Axis(low=0.0, high=1.1 * factor * max(*sizes.values(), floor) or 1.0)
         panels.append(p.rows(f"{what} {name(output)} [{unit}]", x, rows, floor=factor * floor))
     return p.Picture(panels, words=f"Dashed: noise floor ({d.noise_floor.source}).")
-
-
-def shares(
-    found: Sequence[tuple[str, float, tuple[float, float] | None]],
-    title: str,
-    digits: int = 0,
-    look: p.Look = p.AFTER,
-) -> p.Panel:
-    """Return one share per row, in per cent: a dot with its interval, or a bar where there is none."""
-    entries = [
-        p.Row(
-            words, 100 * value, f"{100 * value:.{digits}f} %", span and (100 * span[0], 100 * span[1]), look
-        )
-        for words, value, span in found
-    ]
-    ends = [v for row in entries for v in (row.value, *(row.span or ())) if math.isfinite(v)]
-    x = p.Axis(low=min([0.0, *ends]), high=max([1.0, *(1.05 * v for v in ends)]), most=6)
-    return p.rows(title, x, entries)
 
 
 # -- the shape of the unexplained rest -------------------------------------------------------------------

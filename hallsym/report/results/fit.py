@@ -28,9 +28,9 @@ from hallsym.report.data.periodic import periodic_of
 from hallsym.report.data.survey import MOST_SETTINGS, Group, Survey, held_out, look_over, settings
 from hallsym.report.results import shared
 from hallsym.report.results.periodic import periodic
-from hallsym.report.tables import attributes, concise
+from hallsym.report.tables import attributes, in_units
 from hallsym.report.words import largest, name, number, scale
-from hallsym.units import parameter_unit, readable
+from hallsym.units import readable
 
 TOO_SMALL = 0.1
 """Cost per degree of freedom below which the noise is more than three times the residual."""
@@ -199,18 +199,16 @@ def several_blocks(fit: Fit) -> list[Block | str]:
 
 def _own(fit: Fit, parameter: Parameter) -> Table:
     """Return one parameter log by log, with how it changed since the first."""
-    factor, unit = parameter_unit(parameter.unit)
     logs = [log for log in fit.logs if parameter.name in log.parameters]
     since = [] if fit.joint is None else ["since the first (1 sigma)"]
     head = [f"{parameter.name} by log", "value (1 sigma)", "unit", *since]
     rows = []
     for log in logs:
         found = log.parameters[parameter.name]
-        value, std = found.value, found.std
-        row = [log.name, concise(factor * value, None if std is None else factor * std), unit]
+        row = [log.name, *in_units(found.value, found.std, parameter.unit)]
         if fit.joint is not None and log is not logs[0]:
             moved, sigma = fit.joint.change(parameter.name, logs[0].name, log.name)
-            row.append(concise(factor * moved, factor * sigma))
+            row.append(in_units(moved, sigma, parameter.unit)[0])
         rows.append([*row, *[""] * (len(head) - len(row))])
     return Table(head, rows, f"{parameter.name} by log")
 

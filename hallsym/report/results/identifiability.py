@@ -313,4 +313,4 @@ def _effect_panel(report: Identifiability, column: str) -> p.Panel:
         look = p.AFTER if word == "determined" else p.BEFORE
         rows.append(p.Row(entry.name if entry else "all together", bar, said, look=look))
     title = f"change of {name(column)} [{unit}]"
-    return p.rows(title, x, rows, floor=factor * out.noise_floor, above=False)
+    return p.rows(title, x, rows, floor=factor * out.noise_floor)
