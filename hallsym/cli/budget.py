@@ -82,7 +82,7 @@ def _stand_alone(options: Namespace) -> int:
     found = []
     if options.monte_carlo is not None:
         found = [uncertainty.budget_monte_carlo(budget, **_trials(options))]
-    pictures = _pictures(options, {budget.quantity: budget})
+    draw = {"budget": lambda: budget_bars({budget.quantity: budget})}
     record: dict[str, Any] = {"budget": budget.to_dict()}
     if curve:
         record["curve"] = {"file": options.curve, "expanded_without_curve_m": machine.expanded}
@@ -90,7 +90,8 @@ def _stand_alone(options: Namespace) -> int:
         record["monte_carlo"] = found[0].to_dict()
     more: list[Block | str] = [comparison_table(found)] if found else []
     more += curve_blocks(curve, machine, budget) if curve else []
-    common.say(options, record, lambda: budget_content(budget, shown, more), wrote=pictures)
+    wrote = common.plots(options, draw, options.file)
+    common.say(options, record, lambda: budget_content(budget, shown, more), wrote=wrote)
     return OK
 
 
@@ -134,7 +135,8 @@ def _position(options: Namespace) -> int:
         "map": grid.to_dict() if grid else None,
         "notes": said,
     }
-    pictures = _pictures(options, worst or budgets, grid, worst=bool(worst))
+    draw = {"budget": lambda: budget_bars(worst or budgets, worst=bool(worst))}
+    draw |= {"uncertainty_map": lambda: uncertainty_picture(grid)} if grid else {}
     coverage = f"{100 * settings.level:g} %" if settings.level else f"k = {settings.coverage:g}"
     place = position_words(fit.model.rest | at, fit.model.period)
     basis = f"fit covariance: {fit.covariance_record.method}"
@@ -142,7 +144,8 @@ def _position(options: Namespace) -> int:
     more += [recorded_table(recorded, f"U ({coverage}), recorded workspace")] if recorded else []
     more += [recorded_table(grid.recorded, f"U ({coverage}), map")] if grid and options.range else []
     said_of = position_content(budgets, place, basis, more)
-    common.say(options, record, lambda: said_of, notes=said, wrote=pictures)
+    wrote = common.plots(options, draw, options.file)
+    common.say(options, record, lambda: said_of, notes=said, wrote=wrote)
     return NOT_DETERMINED if fit.undetermined_by_log else OK
 
 
@@ -184,19 +187,6 @@ def _map(
         if span
     }  # one turn of what went round more often; one height, where Z never moved
     return uncertainty_map(fit, lines, settings, fixed={c: v for c, v in at.items() if c not in axes})
-
-
-def _pictures(
-    options: Namespace,
-    budgets: Mapping[str, Budget],
-    grid: UncertaintyMap | None = None,
-    *,
-    worst: bool = False,
-) -> list[Path]:
-    draw = {"budget": lambda: budget_bars(budgets, worst=worst)}
-    if grid is not None:
-        draw["uncertainty_map"] = lambda: uncertainty_picture(grid)
-    return common.plots(options, draw, options.file)
 
 
 def _trials(options: Namespace) -> dict[str, Any]:

@@ -106,17 +106,10 @@ def run(options: Namespace) -> int:
 
 def _without_reference(options: Namespace, machine: Machine) -> int:
     """Calibrate an encoder whose log has no reference; 3 where waves of its table are not separated."""
-    separate = {
-        "--holdout": options.holdout, "--holdout-log": options.holdout_log, "--per-log": options.per_log,
-        "--correct": options.correct,
-    }  # fmt: skip
-    if len(options.logs) > 1 or any(separate.values()):
-        given = [name for name, value in separate.items() if value] or ["several logs"]
-        raise InputError(
-            f"With --reference one log is calibrated, its last turn as holdout; leave {given[0]} out "
-            "(runs of a "
-            "log may be recordings at several speeds)."
-        )
+    alone = "cannot stand beside --reference: one log is calibrated, its last turn as holdout; leave it out"
+    common.refuse(options, ("holdout", "holdout_log", "per_log", "correct"), alone)
+    if len(options.logs) > 1:
+        raise InputError("With --reference give one log; its runs may be recordings at several speeds.")
     log = common.open_log(options, machine, path=options.logs[0])
     result = fit_without_reference(
         log, options.model, options.reference, effects=options.effect,

@@ -19,7 +19,6 @@ from hallsym.files import write_json
 from hallsym.inference import Identifiability, identify
 from hallsym.report.results.identifiability import drawable
 from hallsym.report.results.shared import few
-from hallsym.simulation import campaign_from, paper_campaign, read_campaign
 
 PAPER = "the paper's campaign"
 
@@ -72,12 +71,9 @@ def _recorded(options: Namespace) -> Identifiability:
 def _planned(options: Namespace) -> Identifiability:
     if options.log is not None:
         raise InputError("Give a log or --plan, not both: a plan is not recorded yet.")
-    own = build(options.model).family.example if options.model and not options.plan else None
-    campaign = read_campaign(options.plan) if options.plan else paper_campaign()
-    name = Path(options.plan).name if options.plan else PAPER
-    if own:
-        name = f"the example of {options.model}"
-        campaign = campaign_from(own.campaign, name)
+    options.campaign = options.plan or None
+    campaign, own = common.campaign_of(options), options.model and build(options.model).family.example
+    name = Path(options.plan).name if options.plan else f"the example of {options.model}" if own else PAPER
     if options.calibration is not None:
         known = load_fit(options.calibration, common.own_effects(options))
         noise = common.levels(campaign, known.model, {}) if campaign.noise else None

@@ -34,11 +34,9 @@ def places(ax) -> list[set[tuple[int, int]]]:
     return [*found.values()]
 
 
-@pytest.mark.parametrize("logged", [False, True])
-def test_coverage_shows_settings_and_motion_of_both(planned, logged):
-    other = with_noise(simulate(MODEL, TRUTH, TABLE6, seed=0)) if logged else TABLE6
-    figure = draw(coverage(planned, other, "Table 6"))
-    assert words(figure) == ["planned, 10 runs", "Table 6, 57 runs"]
+def test_coverage_shows_settings_and_motion_of_both(planned):
+    figure = draw(coverage(planned, with_noise(simulate(MODEL, TRUTH, TABLE6, seed=0))))
+    assert words(figure) == ["planned, 10 runs", "recorded, 57 runs"]
     z_rx, x_y = figure.axes[0], figure.axes[3]
     assert (z_rx.get_xlabel(), z_rx.get_ylabel()) == ("Z [µm]", "Rx [µrad]")
     after, before = places(z_rx)
