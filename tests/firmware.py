@@ -273,7 +273,7 @@ void batch(const decoupler_params_t *p, const decoupler_in_t *in, decoupler_out_
     }
 }
 """
-NUMBERS = {"float": "f4", "double": "f8", "int32_t": "i4", "uint32_t": "u4"}
+NUMBERS = {"float": "f4", "int32_t": "i4", "uint32_t": "u4"}
 
 
 class Library:

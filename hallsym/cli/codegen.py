@@ -55,7 +55,6 @@ calibration CALIB               a calibration saved by 'hallsym fit -o'
 --bandwidth HZ <float>          of --predict, in place of the log's
 --latency SECONDS <float=0.0>   of --predict: from the pose to the timestamp of its sample, which a
     prediction adds (default: 0)
---double                        double instead of float, for hosts
 --jacobian                      with derivatives of the pose with respect to the readings, for
     Kalman filters
 --allow-undetermined            use values that the log does not determine

@@ -25,8 +25,8 @@ WIDE, NARROW = tuple(range(10, 0, -1)), (0.5, 0.25, 0.125, 0.0625, 0.03125)
 """Powers of two by which entries may differ from those of the calibration, the widest that is finite."""
 LEAST_LIMIT = 2.0**-10
 """Share of a limit of the calibration below which a range is empty, or -0."""
-HEADROOM = 2.0**-8
-"""Share of the largest number that no step exceeds: rounding of each is counted in it."""
+MOST = 2.0**-8 * float(np.finfo(np.float32).max)
+"""Number that no step exceeds: a share of the largest one, so that the rounding of each step is counted."""
 DIGITS = 4
 """Of the ends of what a gain is made of."""
 STEPS = 2.0**0.125
@@ -50,12 +50,12 @@ def kept_ends(before: Ends | None, values: Mapping[str, Sequence[float]]) -> End
     return before
 
 
-def accepted(d: Decoupler, most: float) -> dict[str, tuple[float, float]]:
-    """Return least and greatest value of each number and array of the table; `most`: the largest number.
+def accepted(d: Decoupler) -> dict[str, tuple[float, float]]:
+    """Return least and greatest value of each number and array of the table.
 
     Raises `InputError` where nothing bounds the results.
     """
-    if widest := any_accepted(d, most):
+    if widest := any_accepted(d):
         return widest
     raise InputError(
         f"Nothing bounds what the C of model {d.model.name} computes of tables like this one: its numbers "
@@ -63,11 +63,11 @@ def accepted(d: Decoupler, most: float) -> dict[str, tuple[float, float]]:
     )
 
 
-def any_accepted(d: Decoupler, most: float) -> dict[str, tuple[float, float]] | None:
-    """Return the widest ends of which all steps give less than the largest number `most`, if any do."""
+def any_accepted(d: Decoupler) -> dict[str, tuple[float, float]] | None:
+    """Return the widest ends of which no step gives more than `MOST`, if there are any."""
     for sizes, powers in ((_by_unit(d), WIDE), (_by_form(d), (*WIDE, *NARROW)), (None, NARROW)):
         tried = [_within(d, 2.0**power, sizes) for power in powers]
-        good = finite(d, tried, most)
+        good = finite(d, tried)
         if good.any():
             return tried[int(good.argmax())]
     return None
@@ -196,8 +196,8 @@ def _rounded(value: float, to: Callable[[float], int], digits: int) -> float:
     return float(f"{to(value / 10.0**power)}e{power}")
 
 
-def finite(d: Decoupler, ends: Sequence[Ends], most: float) -> np.ndarray:
-    """Whether all steps give numbers of less than `most` of every table within some ends, (ends,)."""
+def finite(d: Decoupler, ends: Sequence[Ends]) -> np.ndarray:
+    """Whether all steps give numbers of less than `MOST` of every table within some ends, (ends,)."""
     sides = {name: np.array([own[name] for own in ends]).T for name in ends[0]}
     known = {name: Enclosure(*pair) for name, pair in sides.items()}
     good = np.ones(len(ends), bool)
@@ -215,5 +215,5 @@ def finite(d: Decoupler, ends: Sequence[Ends], most: float) -> np.ndarray:
         for possible, values in every:
             for k, e in enumerate(values):  # not of one that is not a number either
                 if k != last or step.most is None:  # else the value alone may be more
-                    good &= ~possible | (e.most < HEADROOM * most)
+                    good &= ~possible | (e.most < MOST)
     return good

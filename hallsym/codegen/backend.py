@@ -38,7 +38,7 @@ DIGITS = 16
 """Digits of the SHA-256 of a calibration that each file shows."""
 REFERENCE = 1e-15
 """Rounding [m, rad] of the model's own pose, computed in double and written with 13 digits."""
-C_TYPES = {"f4": "float", "f8": "double", "i4": "int32_t", "u4": "uint32_t", "i2": "int16_t"}
+C_TYPES = {"f4": "float", "i4": "int32_t", "u4": "uint32_t", "i2": "int16_t"}
 
 
 COUNT = 48
@@ -105,7 +105,7 @@ class Stored:
 
 @dataclass(frozen=True, eq=False)
 class Backend(ABC):
-    """What is computed, printed, run and proved of a decoupler in one arithmetic: float, double, or integers.
+    """What is computed, printed, run and proved of a decoupler in one arithmetic: float32 or integers.
 
     `record`: what the table came from (model, sha256 of the calibration, options), for its JSON form. `kept`:
     least and greatest values of the table of code that shall stay as it is.
@@ -115,13 +115,10 @@ class Backend(ABC):
     record: Mapping[str, Any]
     kept: Ends | None = field(default=None, kw_only=True)
 
+    type: ClassVar[str]
+    """The name of its numbers, float or q31, and of its folder of templates."""
     batch: ClassVar[int] = BATCH
     """Random samples that are drawn at a time."""
-
-    @property
-    @abstractmethod
-    def type(self) -> str:
-        """The name of its numbers: float, double or q31."""
 
     @property
     @abstractmethod
@@ -281,17 +278,12 @@ class Backend(ABC):
             weak = (status > 0) | ((given <= low) | (given >= high)).any(axis=0)
         return Vectors(inputs, clamped, np.where(weak, found, exact), status)
 
-    tree: ClassVar[str]
-    """Folder of templates."""
     machine: ClassVar[str]
     """Of QEMU, on which the folder is tried."""
+    cpu: ClassVar[str]
+    """Compiler options of the core of that machine."""
     why_ends: ClassVar[str]
     """What C says of the least and greatest values of a table."""
-
-    @property
-    @abstractmethod
-    def cpu(self) -> str:
-        """Compiler options of the core of that machine."""
 
     @property
     @abstractmethod
@@ -333,11 +325,6 @@ class Backend(ABC):
         """Return a number of the table in C."""
 
     @property
-    def pad(self) -> int:
-        """Bytes between the CRC of the offsets and the offsets, which are aligned to their own size."""
-        return 0
-
-    @property
     def identity(self) -> tuple[int, int]:
         """The first 8 bytes of the SHA-256 of the calibration."""
         digest = str(self.record.get("calibration_sha256", "0" * 64))
@@ -356,7 +343,7 @@ class Backend(ABC):
     @property
     def length(self) -> int:
         """Bytes of the table: two CRC, five words, entries."""
-        return 4 * (2 + 5) + self.pad + sum(entry.values.nbytes for entry in self.entries)
+        return 4 * (2 + 5) + sum(entry.values.nbytes for entry in self.entries)
 
     @cached_property
     def covered(self) -> bytes:
@@ -378,7 +365,7 @@ class Backend(ABC):
     def binary(self) -> bytes:
         """The table as it lies in the flash of a little-endian controller."""
         crc, zeros_crc = (struct.pack("<I", value) for value in (self.crc, self.zeros_crc))
-        return crc + self.covered + zeros_crc + bytes(self.pad) + _joined(self.offsets)
+        return crc + self.covered + zeros_crc + _joined(self.offsets)
 
     def json(self, **more: Any) -> str:
         """Return the table as a readable record; `more`: of an arithmetic alone."""
@@ -474,10 +461,10 @@ class Backend(ABC):
 
     def vector_rows(self) -> list[str]:
         """Return the vectors of the self-test in C."""
-        found, out = self.vectors, []
+        found, every, out = self.vectors, self._references(), []
         for k in range(found.inputs.shape[1]):
             inputs = ", ".join(map(self._input, self.inputs, found.inputs[:, k].tolist()))
-            references = "".join(f"{{{listed(row[:, k])}}}, " for row in self._references())
+            references = "".join(f"{{{listed(row[:, k])}}}, " for row in every)
             out.append(f"{{{{{inputs}}}, {references}0x{int(found.status[k]):X}UL}},")
         return out
 
@@ -533,11 +520,11 @@ class Backend(ABC):
         for name in names[-2::-1]:
             last = len(kinds) - kinds[::-1].index(name)
             kind = f"((k < {last}U) ? DECOUPLER_BAD_{name} : {kind})"
-        size, count = numbers[0].values.itemsize, len(kinds) - kinds.count("ZEROS")
+        count = len(kinds) - kinds.count("ZEROS")
         places = ["NUMBERS"] * (count > 0) + ["ZEROS_LESS"] * (count < len(kinds))
         return {
-            "number": C_TYPES[numbers[0].values.dtype.str[1:]], "size": size, "first": numbers[0].name,
-            "limits_to": count * size, "kind": kind,
+            "number": C_TYPES[numbers[0].values.dtype.str[1:]], "first": numbers[0].name,
+            "limits_to": 4 * count, "kind": kind,
             "place": places[0] if len(places) == 1 else f"((k < {count}U) ? NUMBERS : ZEROS_LESS)",
             "listed": [f"{{{', '.join(self.ends_in_c(e))}}}, /* {e.name} */" for e in numbers],
         }  # fmt: skip
@@ -597,7 +584,7 @@ class Backend(ABC):
 
     def _templates(self) -> dict[str, str]:
         """Return the template of each file; EVA is for code whose results it can see."""
-        found = dict(tree(self.tree))
+        found = dict(tree(self.type))
         if not self.decoupler.evident:
             del found["proof/eva.c"]
         return found

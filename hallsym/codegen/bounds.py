@@ -11,6 +11,7 @@ import numpy as np
 from hallsym.codegen.decoupler import FAULT, Bits, Decoupler, Lookup, Step, Whole, needed, run_step, short
 from hallsym.codegen.intervals import (
     EXACT,
+    ROUNDOFF,
     TINY,
     Enclosure,
     Outcomes,
@@ -38,21 +39,21 @@ class Bounds:
     error: Mapping[str, float]
 
 
-def pose_bounds(d: Decoupler, digits: int = 24) -> Bounds:
+def pose_bounds(d: Decoupler) -> Bounds:
     """Return the bounds of one table, by interval arithmetic on the printed expressions."""
     if d.sampled:
-        found = pose_by_pose(d, digits)
+        found = pose_by_pose(d)
     elif d.at_pose:  # its range as an analysis of the C sees it
-        given = given_of(d, digits).items()
+        given = given_of(d).items()
         known = {name: Enclosure(e.low - e.error, e.high + e.error) for name, e in given}
         for step in d.steps:
             enclosed_step(step, known)
-        every = zip((known[step.name] for step in d.steps[-len(d.pose) :]), _by_cells(d, digits), strict=True)
+        every = zip((known[step.name] for step in d.steps[-len(d.pose) :]), _by_cells(d), strict=True)
         found = [replace(e, error=own.error) for e, own in every]
     elif straight(d.steps):
-        found = enclosed(d, d.steps, digits)[-len(d.pose) :]
+        found = enclosed(d, d.steps)[-len(d.pose) :]
     else:
-        found = _by_cells(d, digits)
+        found = _by_cells(d)
     low, high, error = (
         {c: getattr(e, side) for c, e in zip(d.pose, found, strict=True)} for side in ("low", "high", "error")
     )
@@ -82,17 +83,17 @@ FOLDED = 16
 Entries are sums of a few products of the inverse of a well-conditioned matrix; the largest seen is 4."""
 
 
-def enclosed(d: Decoupler, steps: Sequence[Step], digits: int) -> list[Enclosure]:
+def enclosed(d: Decoupler, steps: Sequence[Step]) -> list[Enclosure]:
     """Return the enclosure of each step over the box; errors count those of the table."""
-    known = given_of(d, digits)
+    known = given_of(d)
     for step in steps:
-        rounded_step(step, known, digits)
+        rounded_step(step, known)
     return [known[step.name] for step in steps]
 
 
-def rounded_step(step: Step, known: dict[str, Enclosure], digits: int) -> None:
+def rounded_step(step: Step, known: dict[str, Enclosure]) -> None:
     """Add the enclosure of a step and its rounding to those by symbol."""
-    known[step.name] = enclosures(step.graph, known, digits)[step.graph.results[0]]
+    known[step.name] = enclosures(step.graph, known, rounds=True)[step.graph.results[0]]
 
 
 def enclosed_step(step: Step, known: dict[str, Enclosure]) -> Outcomes:
@@ -112,16 +113,15 @@ def _range_of(step: Step, known: Mapping[str, Enclosure], every: Outcomes) -> En
     found: Enclosure = hull([(possible, values[last]) for possible, values in every])
     if step.most is None:
         return found
-    (end,) = enclose([ca.SX(step.most)], known, None)
+    (end,) = enclose([ca.SX(step.most)], known)
     return Enclosure(np.maximum(found.low, -end.high), np.minimum(found.high, end.high))
 
 
-def given_of(d: Decoupler, digits: int) -> dict[str, Enclosure]:
+def given_of(d: Decoupler) -> dict[str, Enclosure]:
     """Return the enclosures of inputs, over the box, and of entries, rounded as they are made and stored."""
-    dtype = np.float32 if digits == 24 else np.float64
-    found = {d.symbols[c].name(): Enclosure(*(float(dtype(v)) for v in d.ends(c))) for c in d.inputs}
+    found = {d.symbols[c].name(): Enclosure(*(float(np.float32(v)) for v in d.ends(c))) for c in d.inputs}
     for e in (*d.table, *d.offsets):
-        error = constant(e.value, digits).error + FOLDED * 2.0**-53 * abs(e.value) * (e.holds != "value")
+        error = constant(e.value).error + FOLDED * 2.0**-53 * abs(e.value) * (e.holds != "value")
         found[d.symbols[e.name].name()] = Enclosure(e.value, e.value, error)
     found |= {a.name: Enclosure(min(a.values), max(a.values)) for a in d.arrays}
     return found
@@ -135,7 +135,7 @@ ROUNDS = 8
 """Times that the worst of them are cut in half along each side."""
 
 
-def _by_cells(d: Decoupler, digits: int) -> list[Enclosure]:
+def _by_cells(d: Decoupler) -> list[Enclosure]:
     """Return range and rounding of the pose over all cells that what most steps start from is cut into.
 
     Proved: what operations round, each times the slope of the pose by it, enclosed over all values of a cell,
@@ -144,7 +144,7 @@ def _by_cells(d: Decoupler, digits: int) -> list[Enclosure]:
     """
     flags = [flag for flag in d.flags if flag.name != FAULT]
     every = needed(d.steps, [*(step.name for step in d.steps[-len(d.pose) :]), *(f.step for f in flags)])
-    given = given_of(d, digits)
+    given = given_of(d)
     varies = {step.name for step in every} | {d.symbols[c].name() for c in d.inputs}
     crossing: list[set[str]] = [set()]
     for step in reversed(every):  # what the steps from this one on read of what is before them
@@ -154,7 +154,7 @@ def _by_cells(d: Decoupler, digits: int) -> list[Enclosure]:
     seen = [k for k, step in enumerate(every) if step.name in {flag.step for flag in flags}]
     first = min(range(min(seen, default=len(crossing))), key=lambda k: len(crossing[k]))
     for step in every[:first]:
-        rounded_step(step, given, digits)
+        rounded_step(step, given)
     steps, names = every[first:], sorted(crossing[first])
     before = {name: float(e.error) for name, e in given.items()}
     wide = {name: Enclosure(e.low - e.error, e.high + e.error) for name, e in given.items()}
@@ -166,7 +166,7 @@ def _by_cells(d: Decoupler, digits: int) -> list[Enclosure]:
         known = wide | {n: Enclosure(least - before[n], most + before[n]) for n, least, most in cells}
         cell, worked = np.arange(count), list[list[Enclosure]]()
         for step in steps:
-            every = [] if isinstance(step, Lookup) else outcomes(step.graph, known, 2.0**-digits)
+            every = [] if isinstance(step, Lookup) else outcomes(step.graph, known, ROUNDOFF)
             some = [np.flatnonzero(np.broadcast_to(possible, cell.shape)) for possible, _ in every]
             if len(every) > 1 and sum(map(len, some)) > WAYS * count:
                 every = [(True, [hull([(v, own[k]) for v, own in every]) for k in range(len(every[0][1]))])]
@@ -183,7 +183,7 @@ def _by_cells(d: Decoupler, digits: int) -> list[Enclosure]:
             clear &= known[flag.step].high >= known[flag.least].low
         ends = [known[step.name] for step in steps[-len(d.pose) :]]
         with np.errstate(all="ignore"):  # what grows without end is bounded by nothing
-            off = [_rounded(step.graph, values, digits) for step, values in zip(steps, worked, strict=True)]
+            off = [_rounded(step.graph, values) for step, values in zip(steps, worked, strict=True)]
             if len(cell) > count:  # what is computed may go another way than what is exact
                 off = [[_most_of(v, cell, count)[cell] for v in own] for own in off]
             errors = _errors(steps, worked, off, before, len(d.pose))
@@ -244,20 +244,19 @@ ROOM = 1.5
 """Times the largest bound of these poses."""
 
 
-def pose_by_pose(d: Decoupler, digits: int) -> list[Enclosure]:
-    """Return range and rounding of each coordinate, flags clear, offsets at zero; `digits`: of the
-    significand.
+def pose_by_pose(d: Decoupler) -> list[Enclosure]:
+    """Return range and rounding of each coordinate, flags clear, offsets at zero.
 
     Rounding is bounded for each of many poses of the box, and the largest bound is taken with some room.
     """
     assert d.drawn is not None  # of every decoder that claims nothing of readings of no pose
     inputs = d.drawn(np.random.default_rng(6), BOUNDED)
     named = dict(zip(map(short, d.inputs), inputs, strict=True))
-    stored = {e.name: float(constant(e.value, digits).error) for e in d.entries}
+    stored = {e.name: float(constant(e.value).error) for e in d.entries}
     known: Numbers = {**named, **{e.name: e.value for e in d.entries}}
     with np.errstate(all="ignore"):
         worked = [run_step(step, known) for step in d.steps]
-        off = [_rounded(step.graph, values, digits) for step, values in zip(d.steps, worked, strict=True)]
+        off = [_rounded(step.graph, values) for step, values in zip(d.steps, worked, strict=True)]
         errors = _errors(d.steps, worked, off, stored, len(d.pose))
     values = [known[step.name] for step in d.steps[-len(d.pose) :]]
     return [
@@ -347,7 +346,7 @@ def _back(own: Graph, values: list[Any], off: list[Any], by: Any, adjoint: Numbe
     return total
 
 
-def _rounded(own: Graph, values: list[Any], digits: int) -> list[Any]:
+def _rounded(own: Graph, values: list[Any]) -> list[Any]:
     """Bounds of what operations are off by where their arguments are exact; of numbers, as they are stored.
 
     Nothing of those whose results are not chosen.
@@ -366,15 +365,15 @@ def _rounded(own: Graph, values: list[Any], digits: int) -> list[Any]:
     for o, z, count in zip(own.operations[: len(values)], values, counts, strict=True):
         off: Any = 0.0
         if o.op == "const":
-            off = constant(o.value, digits).error
+            off = constant(o.value).error
         elif o.op not in ("input", *EXACT) and not chosen(o, own.operations):
-            off = _half_unit(abs(z), digits) + TINY[digits]
+            off = _half_unit(abs(z)) + TINY
             if o.op in ("add", "sub"):
                 # either argument is a number itself, as far off as the other; and a multiple of the units of
                 # both has no digits to lose (Sterbenz)
                 args = [values[k] for k in o.args]
-                least = np.minimum(*(_half_unit(_least(a), digits) for a in args))
-                exact = abs(z) <= 2.0 ** (digits + 1) * least
+                least = np.minimum(*(_half_unit(_least(a)) for a in args))
+                exact = abs(z) <= 2 / ROUNDOFF * least
                 off = np.where(exact, 0.0, np.minimum(off, np.minimum(*map(abs, args))))
             if o.op == "mul" and any(_is_power_of_two(values[k]) for k in o.args):
                 off = 0.0
@@ -387,9 +386,9 @@ def _is_power_of_two(x: Any) -> bool:
     return bool(np.ndim(low) == 0 and low == high and abs(np.frexp(low)[0]) == 0.5)
 
 
-def _half_unit(value: Any, digits: int) -> Any:
+def _half_unit(value: Any) -> Any:
     """Half of a unit in the last place of numbers of these sizes."""
-    return np.exp2(np.floor(np.log2(value)) - digits)
+    return np.exp2(np.floor(np.log2(value))) * ROUNDOFF
 
 
 def _least(x: Any) -> Any:

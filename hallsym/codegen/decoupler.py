@@ -373,9 +373,9 @@ class Decoupler:
                 done[step.name] = _whole(step, made, ca.floor)
         return done
 
-    def raised(self, seen: np.ndarray, dtype: type = float) -> np.ndarray:
+    def raised(self, seen: np.ndarray) -> np.ndarray:
         """Return the bits (s,) of the flags that their values (n_flags, s) raise."""
-        values = {e.name: dtype(e.value) for e in self.table}
+        values = {e.name: seen.dtype.type(e.value) for e in self.table}
         bits = np.zeros(seen.shape[1:], dtype=np.uint32)
         for k, flag in enumerate(self.flags):
             bits |= np.where(seen[k] >= values[flag.least], 0, flag_bit(k)).astype(np.uint32)

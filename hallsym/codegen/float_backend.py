@@ -1,8 +1,9 @@
-"""The files of a decoupler in float or double."""
+"""The files of a decoupler in float32."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from typing import Any, ClassVar
 from zlib import crc32
 
@@ -13,75 +14,31 @@ from hallsym.codegen import accepted, backend, residual
 from hallsym.codegen.backend import VERSION, Backend, Port, Stored
 from hallsym.codegen.bounds import Bounds, enclosed, least_gains, pose_bounds
 from hallsym.codegen.cost import firmware_cost
-from hallsym.codegen.decoupler import ROOT, Array, Decoupler, Entry, Step, short, steps_on_arrays, unit
-from hallsym.codegen.float_c import Real, shared_steps, statements
+from hallsym.codegen.decoupler import ROOT, Array, Entry, short, steps_on_arrays, unit
+from hallsym.codegen.float_c import constant, shared_steps, statements
+from hallsym.codegen.intervals import ROUNDOFF
 from hallsym.codegen.naming import identifier
 from hallsym.codegen.residual import Ran
 from hallsym.model.arrays import on_arrays
 from hallsym.output import commented
 
+FLOAT = np.float32
 UNION = "misra-c2012-19.2:decoupler.c"
 """Deviation: the bits of a number are read through a union, which C99 defines."""
 
 
 @dataclass(frozen=True, eq=False)
-class Slopes:
-    """Slopes of the pose of a decoupler by the readings."""
-
-    d: Decoupler
-
-    @cached_property
-    def expressions(self) -> dict[str, ca.SX]:
-        """By name: `x_hall_a`, by CasADi's differentiation of the printed expressions."""
-        d, columns = self.d, self.d.model.channels
-        jacobian = ca.jacobian(d.folded, ca.vertcat(*(d.symbols[c] for c in columns)))
-        flat = [jacobian[i, k] for i in range(len(d.pose)) for k in range(len(columns))]
-        names = [f"{short(c)}_{short(m)}" for c in d.pose for m in columns]
-        return dict(zip(names, ca.vertsplit(ca.densify(ca.cse(ca.vertcat(*flat)))), strict=True))
-
-    @property
-    def whole(self) -> ca.SX:
-        """All of them (n,)."""
-        return ca.vertcat(*self.expressions.values())
-
-    @cached_property
-    def steps(self) -> list[Step]:
-        """What they share, then one step each."""
-        return shared_steps(self.whole)
-
-    def records(self) -> list[dict[str, Any]]:
-        """Return what templates say of each slope."""
-        pairs = [(c, m) for c in self.d.pose for m in self.d.model.channels]
-        return [
-            {"name": name, "index": k, "unit": f"{unit(c)}/{unit(m)}", "of": commented(c), "by": commented(m)}
-            for k, (name, (c, m)) in enumerate(zip(self.expressions, pairs, strict=True))
-        ]
-
-    def of(self, clamped: np.ndarray) -> np.ndarray:
-        """Return the slopes (n, s) in double of inputs (n_inputs, s) in their ranges."""
-        d = self.d
-        given = [ca.vertcat(*(d.symbols[n] for n in d.inputs))]
-        given.append(ca.vertcat(*(d.symbols[e.name] for e in (*d.table, *d.offsets))))
-        return on_arrays(ca.Function("slopes", given, [self.whole]))(list(clamped), d.constants)[0]
-
-    def errors(self, real: Real) -> list[float]:
-        """Return how far each computed slope can be from its expression over the box, table included."""
-        found = enclosed(self.d, self.steps, real.digits)[-len(self.expressions) :]
-        return [float(e.error) for e in found]
-
-
-@dataclass(frozen=True, eq=False)
 class FloatBackend(Backend):
-    """A decoupler in float or double.
+    """A decoupler in float32.
 
     IEEE 754 leaves no freedom to +, -, *, / and comparisons that round to nearest one by one, so numpy
     computes the same bits as C. `jacobian`: with the slopes of the pose by the readings.
     """
 
-    real: Real
     jacobian: bool = False
 
-    tree: ClassVar[str] = "float"
+    type: ClassVar[str] = "float"
+    cpu: ClassVar[str] = "-mcpu=cortex-m4 -mthumb -mfloat-abi=hard -mfpu=fpv4-sp-d16"
     machine: ClassVar[str] = "mps2-an386"
     why_ends: ClassVar[str] = "every table within these ends gives finite numbers, by interval arithmetic"
 
@@ -90,20 +47,10 @@ class FloatBackend(Backend):
         """Fewer where most samples, of no pose, are decoded again without a suspect."""
         return 4096, 100_000 if self.decoupler.suspects else 1_000_000
 
-    @property
-    def type(self) -> str:
-        """Float or double."""
-        return self.real.name
-
-    @property
-    def cpu(self) -> str:
-        """Compiler options of a Cortex-M4F."""
-        return f"-mcpu=cortex-m4 -mthumb {self.real.fpu}"
-
     @cached_property
     def bounds(self) -> Bounds:
         """By interval arithmetic on the printed expressions; approximations are not in it."""
-        return pose_bounds(self.decoupler, self.real.digits)
+        return pose_bounds(self.decoupler)
 
     @property
     def error_bound(self) -> Mapping[str, float]:
@@ -129,11 +76,11 @@ class FloatBackend(Backend):
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
         """As the table holds them."""
         low, high = self.span
-        return low.astype(self.real.dtype), high.astype(self.real.dtype)
+        return low.astype(FLOAT), high.astype(FLOAT)
 
     @cached_property
     def _run(self) -> Callable[..., list[np.ndarray]]:
-        return steps_on_arrays(self.decoupler, self.real.dtype)
+        return steps_on_arrays(self.decoupler, FLOAT)
 
     def hold(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """By the bits of its size where a range is symmetric: NaN goes to the end of its sign."""
@@ -143,39 +90,37 @@ class FloatBackend(Backend):
 
     def run(self, clamped: np.ndarray, offsets: np.ndarray | None = None) -> Ran:
         """Operation by operation; `offsets` (n_pose, s) in place of those of the table."""
-        d, dtype = self.decoupler, self.real.dtype
-        constants: list[np.ndarray] = [np.array([c], dtype=dtype) for c in d.constants]
+        d = self.decoupler
+        constants: list[np.ndarray] = [np.array([c], FLOAT) for c in d.constants]
 
         def once(given: np.ndarray, samples: Any) -> Ran:
             if offsets is not None:
                 constants[-len(offsets) :] = list(offsets[:, samples])
             with np.errstate(under="ignore"):
-                pose, *seen = self._run(self.hold(given)[0].astype(dtype), constants)
+                pose, *seen = self._run(self.hold(given)[0].astype(FLOAT), constants)
             none = np.zeros(given.shape[1], np.uint32)
-            flags = np.asarray(d.raised(seen[0], dtype)) if seen else none
+            flags = np.asarray(d.raised(seen[0])) if seen else none
             return Ran(pose, flags, seen[-1] if d.watched else pose[:0], none)
 
-        given: np.ndarray = clamped.astype(dtype)
+        given: np.ndarray = clamped.astype(FLOAT)
         return residual.checked(d, once, given, self._root) if d.suspects else once(given, slice(None))
 
     @cached_property
     def _root(self) -> np.ndarray:
-        values = next(a.values for a in self.decoupler.arrays if a.name == ROOT)
-        return np.array(values, dtype=self.real.dtype)
+        return np.array(next(a.values for a in self.decoupler.arrays if a.name == ROOT), FLOAT)
 
     def sample(self, numbers: np.ndarray) -> np.ndarray:
         """Most lie in the box, every 16th has any bits at all, every 16th is four times too large."""
-        (low, high), dtype = self.ends, self.real.dtype
+        low, high = self.ends
         n = np.asarray(numbers, dtype=np.uint32)
         count = np.uint32(len(self.decoupler.inputs))
         kind = backend.mix(n ^ np.uint32(0x9E3779B9)) & np.uint32(15)
         raw = backend.mix(n * count + np.arange(1, count + 1, dtype=np.uint32)[:, None])
-        share = (raw >> np.uint32(8)).astype(dtype) * dtype(2.0**-24)
+        share = (raw >> np.uint32(8)).astype(FLOAT) * FLOAT(2.0**-24)
         with np.errstate(all="ignore"):
             value = low + (high - low) * share
-            value = np.where(kind == 1, value * dtype(4), value)
-        wild = raw if self.real.size == 4 else (raw.astype(np.uint64) << np.uint64(32)) | backend.mix(raw)
-        return np.where(kind == 0, wild.view(dtype), value).astype(dtype)
+            value = np.where(kind == 1, value * FLOAT(4), value)
+        return np.where(kind == 0, raw.view(FLOAT), value).astype(FLOAT)
 
     @cached_property
     def reset(self) -> dict[str, float]:
@@ -186,19 +131,16 @@ class FloatBackend(Backend):
     def hashed_step(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Half of the samples have no offsets, a quarter those of a reset at either end."""
         kind = backend.mix(np.asarray(numbers, dtype=np.uint32) ^ np.uint32(0x85EBCA6B)) & np.uint32(3)
-        sign: np.ndarray = np.select([kind == 2, kind == 3], [1, -1], 0).astype(self.real.dtype)
-        offsets = np.array([self.real.dtype(self.reset[c]) * sign for c in self.decoupler.pose])
+        sign: np.ndarray = np.select([kind == 2, kind == 3], [1, -1], 0).astype(FLOAT)
+        offsets = np.array([FLOAT(self.reset[c]) * sign for c in self.decoupler.pose])
         clamped, status = self.hold(self.sample(numbers))
         return self._done(status, self.run(clamped, offsets))
 
     def _words(self, pose: np.ndarray) -> np.ndarray:
-        if self.real.size == 4:
-            return pose.view(np.uint32)
-        bits = pose.view(np.uint64)
-        return np.asarray((bits >> np.uint64(32)).astype(np.uint32) ^ backend.mix(bits.astype(np.uint32)))
+        return pose.view(np.uint32)
 
     def _rounded(self, inputs: np.ndarray) -> np.ndarray:
-        return inputs.astype(self.real.dtype)
+        return inputs.astype(FLOAT)
 
     def _beyond(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         bad, most = ([np.full_like(low, v) for v in (np.nan, np.inf, -np.inf)], np.finfo(low.dtype).max)
@@ -209,19 +151,14 @@ class FloatBackend(Backend):
     @cached_property
     def entries(self) -> Sequence[Stored]:
         """Numbers in SI, or 16-bit integers in a row."""
-        d, dtype = self.decoupler, np.dtype(self.real.dtype).newbyteorder("<")
+        d = self.decoupler
 
         def stored(e: Entry | Array) -> Stored:
-            values = (e.values, "<i2" if e.integers else dtype) if isinstance(e, Array) else (e.value, dtype)
+            values = (e.values, "<i2" if e.integers else "<f4") if isinstance(e, Array) else (e.value, "<f4")
             return Stored(e.name, np.array(*values), e.meaning, e.unit)
 
         every: tuple[Entry | Array, ...] = (*d.table, *d.limits, *d.arrays, *d.offsets)
         return [stored(e) for e in every]
-
-    @property
-    def pad(self) -> int:
-        """A word before the offsets in double."""
-        return self.real.size - 4
 
     @cached_property
     def layout(self) -> int:
@@ -231,63 +168,55 @@ class FloatBackend(Backend):
         lines += [f"{e.name} {e.unit}" for e in d.entries]
         lines += [f"{a.name}[{len(a.values)}] {a.unit} {a.integers}" for a in d.arrays]
         lines += [f"{w.left} {w.readings}" for w in d.watched if d.suspects and len(w.readings) > 1]
-        lines += statements([replace(step, remark="") for step in d.steps], {}, self.real, {})
+        lines += statements([replace(step, remark="") for step in d.steps], {}, {})
         return crc32("\n".join(lines).encode())
 
     def _literal(self, value: Any) -> str:
-        return str(value) if isinstance(value, int) else self.real.constant(value)
-
-    def _templates(self) -> dict[str, str]:
-        """Not all bit patterns of a double can be tried."""
-        found = super()._templates()
-        if self.real.size == 8:
-            del found["proof/exhaustive.c"]
-        return found
+        return str(value) if isinstance(value, int) else constant(value)
 
     def _own(self, port: Port, given: bool) -> dict[str, Any]:
-        d, c, literal = self.decoupler, port.column, self.real.constant
+        d, c = self.decoupler, port.column
         if given:
             names = [f"{side}_{short(c)}" for side in ("limit", "low", "high")]
             far = max(abs(v) for name in names for v in self.accepted.get(name, ()))
             other = "measured state" if c in d.model.state else "position so far or commanded"
-            return {"kind": "reading" if c in d.model.channels else other, "far": literal(far)}
-        own = {"hashed": literal(self.reset[c]), "period": literal(d.model.period.get(c, 0.0))}
+            return {"kind": "reading" if c in d.model.channels else other, "far": constant(far)}
+        own = {"hashed": constant(self.reset[c]), "period": constant(d.model.period.get(c, 0.0))}
         if d.evident:  # else nothing is proved of it by EVA
             for name, value in (("outer_low", self.bounds.low[c]), ("outer_high", self.bounds.high[c])):
-                own[name] = literal(float(np.float32(value * 1.0001)) + (1e-12 if value > 0 else -1e-12))
+                own[name] = constant(float(np.float32(value * 1.0001)) + (1e-12 if value > 0 else -1e-12))
         return own
 
     def _fields(self) -> dict[str, Any]:
-        d, real, c = self.decoupler, self.real, self.real.constant
+        d = self.decoupler
         names = {e.name: f"p->{e.name}" for e in d.entries}
         last = d.steps[-len(d.pose) :]
         results = {s.name: f"out->{identifier(column)}" for s, column in zip(last, d.pose, strict=True)}
-        most = {identifier(column): c(d.known(column)) for column in d.pose}
+        most = {identifier(column): constant(d.known(column)) for column in d.pose}
         within = [
             f"((pose->{column} >= -{far}) && (pose->{column} <= {far}))" for column, far in most.items()
         ]
         by_size = [self.range_test(column) == "within" for column in d.inputs]
         ends = (2.0**-12, -(2.0**-12)) if d.at_pose else (2.0**-12, 1.0, -1.0)  # non-linear models: near rest
         return {
-            "real": self.type,
-            "constant": c,
-            "zero": c(0.0),
+            "real": "float",
+            "zero": "0.0f",
             "by_size": "all" if all(by_size) else "some" if any(by_size) else "",
             "clamped": self.clamped(self._used(d.folded)),
-            "body": statements(d.steps, names, real, results),
+            "body": statements(d.steps, names, results),
             "left": [w.left for w in d.watched],
             "all_clamped": self.clamped(d.inputs),
-            "at_pose": statements(d.at_pose, names, real, {}),
+            "at_pose": statements(d.at_pose, names, {}),
             "known_within": "\n        && ".join(within),
             "reach": ", ".join(dict.fromkeys(f"{d.known(column):.6g} {unit(column)}" for column in d.pose)),
-            "known": [[c(share * d.known(column)) for column in d.pose] for share in ends],
+            "known": [[constant(share * d.known(column)) for column in d.pose] for share in ends],
             "far": {
-                p.member: [*(self._input(p, k * d.known(p.column) * 1.0001) for k in (1, -1, np.nan)), c(0.0)]
+                p.member: [*(self._input(p, k * d.known(p.column) * 1.0001) for k in (1, -1, np.nan)), "0.0f"]
                 for p in self.outputs
             },
-            "most": real.most,
+            "most": "FLT_MAX",
             # what roundings of a pose at its largest zero, and iterations, may leave [m, rad], and some
-            "near": c(8 * 2.0**-real.digits * max(2.0 * d.known(p) for p in d.pose) + 10 * d.slack),
+            "near": constant(8 * ROUNDOFF * max(2.0 * d.known(p) for p in d.pose) + 10 * d.slack),
             "deviations": [
                 *([UNION] if any(by_size) else []),
                 backend.UNION,
@@ -298,30 +227,44 @@ class FloatBackend(Backend):
             **(self._of_slopes(names) if self.jacobian else {}),
         }
 
+    @cached_property
+    def slopes(self) -> dict[str, ca.SX]:
+        """Slopes of the pose by the readings, such as `x_hall_a`: derivatives of the printed expressions."""
+        d, columns = self.decoupler, self.decoupler.model.channels
+        jacobian = ca.jacobian(d.folded, ca.vertcat(*(d.symbols[c] for c in columns)))
+        flat = [jacobian[i, k] for i in range(len(d.pose)) for k in range(len(columns))]
+        names = [f"{short(c)}_{short(m)}" for c, m in product(d.pose, columns)]
+        return dict(zip(names, ca.vertsplit(ca.densify(ca.cse(ca.vertcat(*flat)))), strict=True))
+
     def _of_slopes(self, names: Mapping[str, str]) -> dict[str, Any]:
-        slopes, values = self.slopes, self._references()[1]
-        clamped = self.clamped(self._used(slopes.whole))
-        stored = {f"result_{k}": f"slopes->{name}" for k, name in enumerate(slopes.expressions)}
+        d, whole, values = self.decoupler, ca.vertcat(*self.slopes.values()), self._references()[1]
+        steps = shared_steps(whole)
+        stored = {f"result_{k}": f"slopes->{name}" for k, name in enumerate(self.slopes)}
+        pairs = zip(self.slopes, product(d.pose, d.model.channels), strict=True)
         # the reference is computed in double and written with 13 digits
         limits = [
-            error + 1e-12 * np.abs(row).max()
-            for error, row in zip(slopes.errors(self.real), values, strict=True)
+            e.error + 1e-12 * np.abs(row).max()
+            for e, row in zip(enclosed(d, steps)[-len(self.slopes) :], values, strict=True)
         ]
         return {
-            "slopes": slopes.records(),
-            "slope_body": clamped + statements(slopes.steps, names, self.real, stored),
+            "slopes": [
+                {"name": name, "index": k, "unit": f"{unit(c)}/{unit(m)}", "of": commented(c),
+                 "by": commented(m)}
+                for k, (name, (c, m)) in enumerate(pairs)
+            ],
+            "slope_body": self.clamped(self._used(whole)) + statements(steps, names, stored),
             "slope_bounds": ", ".join(f"{limit:.3e}" for limit in limits),
-        }
+        }  # fmt: skip
 
     def _references(self) -> list[np.ndarray]:
         """With the slopes in double."""
-        slopes = [self.slopes.of(self.vectors.clamped)] if self.jacobian else []
-        return [self.vectors.pose, *slopes]
-
-    @cached_property
-    def slopes(self) -> Slopes:
-        """The slopes that `decoupler_jacobian()` gives."""
-        return Slopes(self.decoupler)
+        d, found = self.decoupler, [self.vectors.pose]
+        if self.jacobian:
+            given = [ca.vertcat(*(d.symbols[n] for n in d.inputs))]
+            given.append(ca.vertcat(*(d.symbols[e.name] for e in (*d.table, *d.offsets))))
+            slopes = ca.Function("slopes", given, [ca.vertcat(*self.slopes.values())])
+            found += on_arrays(slopes)(list(self.vectors.clamped), d.constants)
+        return found
 
     # -- step, check ---------------------------------------------------------------------------------------
 
@@ -336,19 +279,16 @@ class FloatBackend(Backend):
 
     def _accepted(self) -> accepted.Ends:
         """As wide as finite results allow."""
-        return accepted.accepted(self.decoupler, float(np.finfo(self.real.dtype).max))
+        return accepted.accepted(self.decoupler)
 
     def _just_outside(self, name: str) -> list[str]:
         if any(a.integers for a in self.decoupler.arrays if a.name == name):
             return []
-        real = self.real.dtype
-        just = [
-            np.nextafter(real(end), real(k * np.inf))
-            for end, k in zip(self.accepted[name], (-1, 1), strict=True)
-        ]
-        return [self._input(self.inputs[0], float(value)) for value in (np.nan, np.inf, -np.inf, *just)]
+        least, most = map(FLOAT, self.accepted[name])
+        just = np.nextafter([least, most], np.array([-np.inf, np.inf], FLOAT)).tolist()
+        return [self._input(self.inputs[0], value) for value in (np.nan, np.inf, -np.inf, *just)]
 
     def _input(self, port: Port, value: Any) -> str:
         if np.isfinite(value):
-            return self.real.constant(value)
-        return f"{'-' * (value < 0)}{self.real.cast}{'NAN' if np.isnan(value) else 'INFINITY'}"
+            return constant(value)
+        return f"{'-' * (value < 0)}{'NAN' if np.isnan(value) else 'INFINITY'}"

@@ -16,7 +16,6 @@ from hallsym.codegen.bounds import LEAST_GAIN, Bounds, least_gains, straight
 from hallsym.codegen.box import box_of, shortened
 from hallsym.codegen.decoupler import Box, Decoupler, short, steps_on_arrays
 from hallsym.codegen.float_backend import FloatBackend
-from hallsym.codegen.float_c import DOUBLE, FLOAT, Real
 from hallsym.codegen.folder import options_of as options_before
 from hallsym.codegen.folder import record_of, replace_params, write_folder
 from hallsym.codegen.integer_backend import IntegerBackend
@@ -107,7 +106,6 @@ def generate(
     *,
     arithmetic: str | None = None,
     ranges: Mapping[str, tuple[float, float]] | None = None,
-    double: bool = False,
     jacobian: bool = False,
     accuracy: float | None = None,
     allow_undetermined: bool = False,
@@ -120,20 +118,19 @@ def generate(
     """Generate the C decoupler of a calibration.
 
     `arithmetic`: "float" (default), or "q31" for 32-bit integers, where a controller has no floating-point
-    unit. `ranges`: least and greatest value by column [SI] in place of what the log recorded. `double`: for
-    hosts. `jacobian`: with `decoupler_jacobian()`, the slopes of the pose by the readings. Models
-    of an angle: `accuracy` is what the correction of it may leave besides rounding [rad], default 3e-8, of
-    integers 1e-5. Magnet arrays: `accuracy` is what harmonics and polynomials may leave of a place [m].
-    `name`: prefix of symbols and files, so that several decouplers fit in one image. `license`: SPDX
-    expression in every file, default `LICENSE`: generated, and yours to license. `observer`: with
-    `decoupler_predict()`, position and speed at the time that a controller asks for. `like`: a generated
-    folder whose code it shall have, for a recalibration: what was chosen there is taken where it is not
-    given. Raises `InputError` for a calibration that cannot be trusted on a controller.
+    unit. `ranges`: least and greatest value by column [SI] in place of what the log recorded. `jacobian`:
+    with `decoupler_jacobian()`, the slopes of the pose by the readings. Models of an angle: `accuracy` is
+    what the correction of it may leave besides rounding [rad], default 3e-8, of integers 1e-5. Magnet arrays:
+    `accuracy` is what harmonics and polynomials may leave of a place [m]. `name`: prefix of symbols and
+    files, so that several decouplers fit in one image. `license`: SPDX expression in every file, default
+    `LICENSE`: generated, and yours to license. `observer`: with `decoupler_predict()`, position and speed at
+    the time that a controller asks for. `like`: a generated folder whose code it shall have, for a
+    recalibration: what was chosen there is taken where it is not given. Raises `InputError` for a calibration
+    that cannot be trusted on a controller.
     """
     before: Mapping[str, Any] = {} if like is None else record_of(Path(like))
     if arithmetic is None:
-        kind = str(before.get("type"))
-        arithmetic, double = "q31" if kind == "q31" else "float", double or kind == "double"
+        arithmetic = "q31" if before.get("type") == "q31" else "float"
     require(arithmetic in ARITHMETICS, "The arithmetic", f"one of {', '.join(ARITHMETICS)}", arithmetic)
     check_prefix(name)
     check(fit, allow_undetermined)
@@ -152,14 +149,13 @@ def generate(
     if observer is None and "observer" in chosen:
         observer = Observer(**{**chosen["observer"], "said": tuple(chosen["observer"].get("said", ()))})
     if arithmetic == "q31":
-        for option, wanted in {"double": double, "jacobian": jacobian, "predict": observer}.items():
+        for option, wanted in {"jacobian": jacobian, "predict": observer}.items():
             if wanted:
                 raise InputError(f"--{option} belongs to --arithmetic float; leave it out, or the integers.")
         backend: Backend = _integers(fit, record, box, given, chosen.get("plan"), ranges or {}, kept)
     else:
-        real = DOUBLE if double else FLOAT
-        slopes = jacobian or "jacobian" in chosen
-        backend = _floats(fit, record, box, given, real, slopes, observer, kept)
+        jacobian = jacobian or "jacobian" in chosen
+        backend = _floats(fit, record, box, given, jacobian, observer, kept)
     errors = backend.errors()
     notes = (
         *notes_of(fit),
@@ -181,7 +177,7 @@ def _check_names(d: Decoupler) -> None:
 
 
 def _floats(
-    fit: Fit, record: Mapping[str, Any], box: Box, given: Mapping[str, Any], real: Real, jacobian: bool,
+    fit: Fit, record: Mapping[str, Any], box: Box, given: Mapping[str, Any], jacobian: bool,
     observer: Observer | None, kept: Ends | None,
 ) -> FloatBackend:  # fmt: skip
     found = lower(fit, box, **given)
@@ -197,7 +193,7 @@ def _floats(
     variant: dict[str, Any] = {"jacobian": "reading"} if jacobian else {}
     variant |= {} if observer is None else {"observer": asdict(observer)}
     record = {**record, **_recorded({**found.options, **variant}, given)}
-    backend = FloatBackend(found, record, real, jacobian, kept=kept)
+    backend = FloatBackend(found, record, jacobian, kept=kept)
     check_gains(found)
     for column, error in backend.bounds.error.items():
         if not error < max(-backend.bounds.low[column], backend.bounds.high[column]):  # grows without end

@@ -31,13 +31,12 @@ class IntegerBackend(Backend):
 
     program: Program
 
-    tree: ClassVar[str] = "q31"
+    type: ClassVar[str] = "q31"
     cpu: ClassVar[str] = "-mcpu=cortex-m0 -mthumb"
     machine: ClassVar[str] = "microbit"
     why_ends: ClassVar[str] = "with gains within these ends none comes to nothing"
     hashed = (4096, 100_000)
     batch: ClassVar[int] = 1 << 62
-    type: ClassVar[str] = "q31"
 
     @cached_property
     def bounds(self) -> Bounds:
@@ -154,7 +153,7 @@ class IntegerBackend(Backend):
         What makes an angle may be any integers.
         """
         p, d = self.program, self.decoupler
-        found, out = accepted.accepted(d, float(np.finfo(np.float32).max)), {}
+        found, out = accepted.accepted(d), {}
         exponents = {name: e for name, (_, e) in p.table.items()} | {
             f"{side}_{short(c)}": p.inputs[c] for c in self.limited for side in ("limit", "low", "high")
         }

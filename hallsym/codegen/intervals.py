@@ -1,8 +1,8 @@
 """Ranges and rounding errors of an SX graph by interval arithmetic, on many intervals at once.
 
-Each operation gets an enclosure of its exact value, rounded outwards, and, for arithmetic in float32 or
-double, a bound of |computed - exact|. One rounding to nearest adds at most u |z| (u = 2^-24 in float32), and
-the smallest subnormal where a result underflows (IEEE 754). A comparison that an interval does not decide is
+Each operation gets an enclosure of its exact value, rounded outwards, and, for arithmetic in float32, a bound
+of |computed - exact|. One rounding to nearest adds at most u |z| (u = 2^-24), and the smallest subnormal
+where a result underflows (IEEE 754). A comparison that an interval does not decide is
 either, so the derivative of `fmin` at its kink is the hull of both sides.
 """
 
@@ -18,8 +18,8 @@ import numpy as np
 from hallsym.codegen.operations import TESTS, Graph, Operation, graph
 from hallsym.errors import InputError
 
-TINY = {24: 2.0**-149, 53: 2.0**-1074}
-"""Smallest subnormal number by digits of the significand."""
+ROUNDOFF, TINY = 2.0**-24, 2.0**-149
+"""Of float32: largest relative error of one rounding to nearest, and the smallest subnormal number."""
 ULPS = 8 * np.finfo(float).eps
 """Relative widening of each end after an operation, more than any of numpy's functions is off by."""
 
@@ -55,19 +55,19 @@ class Enclosure:
 
     def __add__(self, other: "Enclosure | float") -> "Enclosure":
         """Return the range of a sum."""
-        return _enclosed("add", [self, _ranged(other)], None)
+        return _enclosed("add", [self, _ranged(other)])
 
     def __mul__(self, other: "Enclosure | float") -> "Enclosure":
         """Return the range of a product."""
-        return _enclosed("mul", [self, _ranged(other)], None)
+        return _enclosed("mul", [self, _ranged(other)])
 
     def __truediv__(self, other: "Enclosure") -> "Enclosure":
         """Return the range of a quotient."""
-        return _enclosed("div", [self, other], None)
+        return _enclosed("div", [self, other])
 
     def __rtruediv__(self, other: float) -> "Enclosure":
         """Return the range of a number over this one."""
-        return _enclosed("div", [_ranged(other), self], None)
+        return _enclosed("div", [_ranged(other), self])
 
     __radd__, __rmul__ = __add__, __mul__
 
@@ -76,28 +76,26 @@ def _ranged(value: "Enclosure | float") -> Enclosure:
     return value if isinstance(value, Enclosure) else Enclosure(value, value)
 
 
-def constant(value: float, digits: int) -> Enclosure:
-    """Return the enclosure of a number as it is stored in `digits` bits of significand."""
-    stored = float(np.float32(value)) if digits == 24 else value
-    return Enclosure(value, value, abs(value - stored))
+def constant(value: float) -> Enclosure:
+    """Return the enclosure of a number as it is stored in float32."""
+    return Enclosure(value, value, abs(value - float(np.float32(value))))
 
 
 def enclose(
-    expressions: Sequence[ca.SX], inputs: Mapping[str, Enclosure], digits: int | None = 24
+    expressions: Sequence[ca.SX], inputs: Mapping[str, Enclosure], rounds: bool = False
 ) -> list[Enclosure]:
     """Return the enclosure of each scalar expression over enclosures of its symbols, by name.
 
-    `digits`: bits of the significand in which each operation is computed, the errors of the inputs going
-    before; None for the exact value alone, of functions such as sine too. Raises `InputError` for an
-    operation that has no range here.
+    `rounds`: with the errors of operations in float32, those of the inputs included; otherwise of the exact
+    value alone, of functions such as sine too. Raises `InputError` for an operation that has no range here.
     """
     found = graph(expressions)
-    made = enclosures(found, inputs, digits)
+    made = enclosures(found, inputs, rounds)
     return [made[k] for k in found.results]
 
 
 def enclosures(
-    found: Graph, inputs: Mapping[str, Enclosure], digits: int | None = None, room: float = 0.0,
+    found: Graph, inputs: Mapping[str, Enclosure], rounds: bool = False, room: float = 0.0,
     decided: Mapping[int, Enclosure] | None = None,
 ) -> list[Enclosure]:  # fmt: skip
     """Return the enclosure of each operation of a graph; see `enclose`.
@@ -113,11 +111,11 @@ def enclosures(
             elif operation.op == "input":
                 made.append(inputs[operation.symbol])
             elif operation.op == "const":
-                made.append(constant(operation.value, digits or 53))
+                made.append(constant(operation.value) if rounds else _ranged(operation.value))
             elif other := _other(operation, found.operations):
                 made.append(Enclosure(*_share(made[operation.args[0]], made[other])))
             else:
-                made.append(_enclosed(operation.op, [made[k] for k in operation.args], digits, room))
+                made.append(_enclosed(operation.op, [made[k] for k in operation.args], rounds, room))
     return made
 
 
@@ -149,7 +147,7 @@ def outcomes(found: Graph, inputs: Mapping[str, Enclosure], room: float = 0.0) -
         possible: Any = np.True_
         decided = {k: Enclosure(np.float64(v), np.float64(v)) for k, v in zip(tests, outcome, strict=True)}
         for _ in range(NARROWED if tests else 0):
-            made = enclosures(found, given, None, room, decided)
+            made = enclosures(found, given, False, room, decided)
             for k, holds in zip(tests, outcome, strict=True):
                 x, y = found.operations[k].args[:: 1 if holds else -1]
                 made[x], made[y] = _meet(made[x], high=made[y].high), _meet(made[y], low=made[x].low)
@@ -162,7 +160,7 @@ def outcomes(found: Graph, inputs: Mapping[str, Enclosure], room: float = 0.0) -
                 possible = possible & ~np.asarray(e.low > e.high)
                 if o.op == "input":
                     given[o.symbol] = e
-        out.append((possible, enclosures(found, given, None, room, decided)))
+        out.append((possible, enclosures(found, given, False, room, decided)))
     return out
 
 
@@ -179,20 +177,20 @@ def hull(some: Sequence[tuple[Any, Any]]) -> Any:
     return Enclosure(_hull(*low)[0], _hull(*high)[1])
 
 
-def _enclosed(op: str, args: list[Enclosure], digits: int | None, room: float = 0.0) -> Enclosure:
-    if op not in _RANGES or (digits and op not in _ERRORS):
+def _enclosed(op: str, args: list[Enclosure], rounds: bool = False, room: float = 0.0) -> Enclosure:
+    if op not in _RANGES or (rounds and op not in _ERRORS):
         raise InputError(f"Operation {op} of the model has no C without libm.")
     low, high = _RANGES[op](*args)
     if op not in EXACT:
         unknown = np.isnan(low) | np.isnan(high)
         low = np.where(unknown, -np.inf, low - ((ULPS + room) * np.abs(low) + 1e-300))
         high = np.where(unknown, np.inf, high + ((ULPS + room) * np.abs(high) + 1e-300))
-    if not digits:
+    if not rounds:
         return Enclosure(low, high)
     error = _ERRORS[op](*args)
     if op not in EXACT:
         most = np.maximum(np.abs(low), np.abs(high)) + error
-        error = np.where(np.isfinite(most), error + most * 2.0**-digits + TINY[digits], np.inf)
+        error = np.where(np.isfinite(most), error + most * ROUNDOFF + TINY, np.inf)
     return Enclosure(low, high, error)
 
 

@@ -19,7 +19,6 @@ from hallsym.codegen.bounds import pose_bounds
 from hallsym.codegen.box import box_of
 from hallsym.codegen.decoupler import steps_on_arrays
 from hallsym.codegen.float_backend import FloatBackend
-from hallsym.codegen.float_c import FLOAT
 from hallsym.codegen.lowering import lower
 from hallsym.errors import InputError
 from hallsym.families import adapted, effects
@@ -32,7 +31,7 @@ def inputs_of(d, count=2000, seed=0, dtype=float):
 
 def test_float_errors_over_a_million_inputs():
     d = lower(calibration(), box_of(calibration()))
-    met = FloatBackend(d, {}, FLOAT).errors(1_000_000)
+    met = FloatBackend(d, {}).errors(1_000_000)
     assert max(met["x_m"], met["y_m"]) <= 0.6e-9
     assert met["rz_rad"] <= 3e-9
 
@@ -81,26 +80,24 @@ MADE = made("stage31")
 # -- the table -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("double", [False, True])
-def test_binary_and_json_are_the_same_table(double):
-    code = made("stage31", double=double)
+def test_binary_and_json_are_the_same_table():
+    code = made("stage31")
     binary = code.files["table/decoupler_params.bin"]
     record = json.loads(code.files["table/decoupler_params.json"])
     crc, version, layout, length, *_ = struct.unpack_from("<6I", binary)
-    size, kind = (8, "d") if double else (4, "f")
     constant = len(record["parameters"]) - 3  # without the zeros
-    values = struct.unpack_from(f"<{constant}{kind}", binary, 24)
-    covered = 24 + constant * size
+    values = struct.unpack_from(f"<{constant}f", binary, 24)
+    covered = 24 + constant * 4
     (zeros_crc,) = struct.unpack_from("<I", binary, covered)
-    zeros = binary[covered + size :]
+    zeros = binary[covered + 4 :]
     assert [e["value"] for e in record["parameters"]] == [*values, 0.0, 0.0, 0.0]
     assert (version, f"0x{layout:08x}", f"0x{crc:08x}") == (3, record["layout"], record["crc32"])
     assert length == len(binary)
     assert binary[16:24].hex() != "0" * 16
     assert crc == zlib.crc32(binary[4:covered])
-    assert zeros == bytes(3 * size)
+    assert zeros == bytes(3 * 4)
     assert zeros_crc == zlib.crc32(zeros)
-    assert double or len(binary) == 136
+    assert len(binary) == 136
 
 
 def test_the_table_names_its_calibration(tmp_path, capsys):
@@ -175,21 +172,19 @@ def test_undetermined_parameters_are_used_only_when_told_to():
     assert any("H1x, H1y" in note and "combinations" in note for note in code.notes)
 
 
-# -- double ------------------------------------------------------------------------------------------------
+# -- bounds ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("double", [False, True])
-def test_stated_bounds_hold_against_fifty_digits(double):
+def test_stated_bounds_hold_against_fifty_digits():
     """Model (31) at the parameters of the calibration: q = PM^-1 (m / phi), doi:10.3390/s16060872."""
     mpmath = pytest.importorskip("mpmath")
     fit = calibration()
-    code = generate(fit, double=double)
+    code = generate(fit)
     rng = np.random.default_rng(3)
     low, high = (
         np.array([code.decoupler.ends(c)[k] for c in code.decoupler.inputs])[:, None] for k in (0, 1)
     )
-    dtype = code.backend.real.dtype
-    inputs = (low + (high - low) * rng.random((len(low), 300))).astype(dtype)
+    inputs = (low + (high - low) * rng.random((len(low), 300))).astype(np.float32)
     pose, status = code.backend.step(inputs)
     worst = np.zeros(3)
     with mpmath.workdps(50):

@@ -231,16 +231,17 @@ def slopes_of(library, inputs, shape):
 @pytest.mark.parametrize("case", ["stage31", "vertical_offset_coupling", "exact_rotation"])
 def test_they_are_those_of_the_model(tmp_path, case):
     need("gcc")
-    code = made(case, double=True, jacobian=True)
-    code.write(tmp_path / "fw")
-    library = Library(tmp_path / "fw", code)
+    code = made(case, jacobian=True)
+    library = Library(written(code, tmp_path / "fw"), code)
+    (listed,) = re.findall(r"slope_bounds\[9\] = \{(.*)\}", str(code.files["test/selftest_vectors.h"]))
+    bound = np.array([float(v) for v in listed.split(", ")]).reshape(3, 3)
     rng = np.random.default_rng(5)
     for _ in range(20):
         pose, state = rng.uniform(-1e-4, 1e-4, 3), rng.uniform(-1e-4, 1e-4, 3)
         reading, expected = (np.asarray(part) for part in implied(case)(pose, state))
         status, found = slopes_of(library, np.concatenate([reading.ravel(), state]), (3, 3))
         assert status == 0
-        assert found == pytest.approx(expected, rel=1e-6, abs=1e-8)
+        assert (np.abs(found - expected) <= bound).all()
 
 
 LATER = [pytest.param(c, marks=pytest.mark.slow) for c in CASES if c != "stage31"]

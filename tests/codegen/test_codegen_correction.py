@@ -79,7 +79,7 @@ def test_an_enclosure_holds_every_sample_and_what_rounding_makes_of_it(name, x, 
         "x": Enclosure(np.array([x]), np.array([x + wide])),
         "y": Enclosure(np.array([y]), np.array([y + high])),
     }
-    (found,) = enclose([EXPRESSIONS[name]], ends, 24 if name in ROUNDED else None)
+    (found,) = enclose([EXPRESSIONS[name]], ends, rounds=name in ROUNDED)
     share = np.random.default_rng(seed).random((2, 50))
     share[:, :4] = [[0, 0, 1, 1], [0, 1, 0, 1]]
     given = (np.array([[x], [y]]) + np.array([[wide], [high]]) * share).astype(np.float32)

@@ -86,7 +86,6 @@ EVERY = {
     "stage31": stage("stage31", (102, 122), True, (M0, M3, M7)),
     **{case: stage(case, quick=case == "exact_rotation") for case in CASES if case != "stage31"},
     "four probes": stage("four probes", cores=()),
-    "stage31 double": stage("stage31", double=True),
     "stage31 q31": stage("stage31", one(850), True, (M3, M4, M7_INTEGERS), arithmetic="q31"),
     "four probes q31": stage("four probes", cores=(), arithmetic="q31"),
     "three sums": wave("three sums", one(190), True, (M3,)),

@@ -55,7 +55,7 @@ def test_force_replaces_what_the_manifest_lists_and_nothing_else(tmp_path, capsy
     for name, content in mine.items():
         (out / name).parent.mkdir(parents=True, exist_ok=True)
         (out / name).write_bytes(content)
-    assert run(capsys, "codegen", GOLDEN / "calib.json", "-o", out, "--force", "--double")[0] == 0
+    assert run(capsys, "codegen", GOLDEN / "calib.json", "-o", out, "--force")[0] == 0
     assert {name: tree(out)[name] for name in mine} == mine
     assert "axis.c" not in tree(out)
     (out / "manifest.json").write_text(json.dumps({"files": {"../calib.json": "0", "notes.md": "0"}}))
@@ -99,7 +99,6 @@ def encoder(factor=1.0):
 SLOW = pytest.mark.slow
 RECALIBRATED = {
     "float": (stage, {"gains": 1.001}, {"field": 8.0}, []),
-    "double": (stage, {"gains": 1.001}, {"field": 8.0}, ["--double"]),
     "slopes": (stage, {"gains": 1.001}, {"field": 8.0}, ["--jacobian"]),
     "integers": (stage, {"gains": 0.97, "others": 1.3}, {"field": 6.0}, ["--arithmetic", "q31"]),
     "table": (encoder, {"factor": 0.8}, {"factor": 30.0}, ["--accuracy", "angle_urad=100"]),
@@ -108,8 +107,7 @@ RECALIBRATED = {
 
 
 @pytest.mark.parametrize(
-    "case", [pytest.param(c, marks=SLOW if c in ("double", "table", "binary angles") else ())
-             for c in RECALIBRATED]
+    "case", [pytest.param(c, marks=SLOW if c in ("table", "binary angles") else ()) for c in RECALIBRATED]
 )  # fmt: skip
 def test_a_recalibration_replaces_the_parameters_alone(case, tmp_path, capsys):
     """By the choices of the folder: a calibration may need others. One that is too far is refused."""

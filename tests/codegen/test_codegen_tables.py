@@ -17,7 +17,7 @@ from hallsym.errors import InputError
 TABLES = 10_000
 
 CASES = (
-    "stage31", "stage31 double", "exact_rotation", "cubic", "clipped 5 mrad", "meng volts", "three sums",
+    "stage31", "exact_rotation", "cubic", "clipped 5 mrad", "meng volts", "three sums",
     "five sums", "stage31 q31", "meng volts q31", "meng angle q31",
 )  # fmt: skip
 SLOW = ("travel", "12 sums")

@@ -90,12 +90,6 @@ def test_an_accuracy_that_is_asked_for_is_kept_by_more_rounds(accuracy):
     assert code.backend.record["options"] == {"accuracy": accuracy}
 
 
-def test_double_leaves_what_rounds_and_polynomials_leave():
-    code = made(double=True)
-    assert max(code.bounds.error.values()) < 1e-14
-    assert 1e-8 < max(code.errors.values()) <= code.decoupler.slack
-
-
 # -- ranges and status ---------------------------------------------------------------------------------------
 
 

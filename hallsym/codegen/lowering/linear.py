@@ -297,7 +297,7 @@ class PolynomialModel:
                 poly[k].of(ca.vertcat(*symbol)) for poly in (self.gain, self.displacement, self.offset)
             )
             value = ca.substitute(gain * shift + offset, s.parameters, ca.DM(p))
-            (found,) = enclose([value], variables, None)
+            (found,) = enclose([value], variables)
             zero = max((abs(z.upper) for z in model.offsets if np.isfinite(z.upper)), default=0.0)
             low, high = float(f"{found.low - zero:.3g}"), float(f"{found.high + zero:.3g}")
             most = max(abs(low), abs(high))
@@ -383,7 +383,7 @@ def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box) -> Deco
         )
     taken = PolynomialModel(model, box)
     made = _Assembly(taken, p, weight).make()
-    if made.at_pose and not any_accepted(made, float(np.finfo(np.float32).max)):
+    if made.at_pose and not any_accepted(made):
         made = _Assembly(taken, p, weight, clamped=True).make()
     return made
 

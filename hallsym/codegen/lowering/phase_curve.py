@@ -196,7 +196,7 @@ class Curve:
             x, y = ca.vertsplit(ca.DM(self.matrix) @ (readings - ca.DM(self.center)))
             slope = (x * ca.jacobian(y, angle) - y * ca.jacobian(x, angle)) / (x * x + y * y)
         ends = np.linspace(-pi, pi, count + 1)
-        (found,) = enclose([slope], {"angle": Enclosure(ends[:-1], ends[1:])}, None)
+        (found,) = enclose([slope], {"angle": Enclosure(ends[:-1], ends[1:])})
         low, high = np.broadcast_to(found.low, count), np.broadcast_to(found.high, count)
         if not (low > 0).all() or not np.isfinite(high).all():
             raise self.too_large

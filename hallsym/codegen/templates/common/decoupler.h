@@ -2,13 +2,13 @@
 /* {{ generated }}; do not edit: generate again from the calibration. */
 /**
  * @file decoupler.h
-{% if b.tree == "float" %}
+{% if b.type == "float" %}
  * @brief From the readings of {{ d.model.channels | length }} probe{{ 's' if d.model.channels | length != 1 }} to the {{ d.quantity }} of the {{ d.model.family }}: model {{ d.model.name | commented }}.
 {% else %}
  * @brief From readings to {{ d.quantity }} in 32-bit integers: model {{ d.model.name | commented }}.
 {% endif %}
  *
-{% if b.tree == "float" %}
+{% if b.type == "float" %}
  * Units are SI: {{ (d.inputs + d.pose) | units(" and ") }}. No heap, no libm, no static data; reentrant.
 {% else %}
  * Every quantity is an integer times a power of two of its SI unit (m, rad); the exponents are below. No heap, no
@@ -40,7 +40,7 @@ extern "C" {
 /** @name Status of decoupler_step(): 0, or the inputs that were brought back into their range */
 /** @{ */
 {% for i in inputs if i.by %}
-#define {{ i.bit }} {{ i.mask }} /**< {{ i.column }} outside its range{{ ", or not finite" if b.tree == "float" }} */
+#define {{ i.bit }} {{ i.mask }} /**< {{ i.column }} outside its range{{ ", or not finite" if b.type == "float" }} */
 {% endfor %}
 {% for f in d.flags %}
 #define {{ f.name | status_bit }} {{ flag_bit(loop.index0) | mask }} /**< {{ f.meaning }} */
@@ -52,11 +52,11 @@ extern "C" {
 #define DECOUPLER_STATUS_DEGRADED {{ d.degraded_bit | mask }} /**< one reading contradicts the others: the {{ d.quantity }} is decoded without it */
 {% endif %}
 {% if far %}
-#define DECOUPLER_STATUS_KNOWN 0x80000000UL /**< decoupler_zero(): known pose {{ "not within " ~ reach if b.tree == "float" else "beyond 2^29" }} */
+#define DECOUPLER_STATUS_KNOWN 0x80000000UL /**< decoupler_zero(): known pose {{ "not within " ~ reach if b.type == "float" else "beyond 2^29" }} */
 {% endif %}
 /** @} */
 
-{% if b.tree == "q31" %}
+{% if b.type == "q31" %}
 {% include "q31/fragments/units.h" %}
 
 {% endif %}
@@ -65,7 +65,7 @@ extern "C" {
 #define DECOUPLER_BAD_VERSION 0x01UL /**< made for another interface */
 #define DECOUPLER_BAD_LAYOUT 0x02UL /**< made for other code, or of another length */
 #define DECOUPLER_BAD_CRC 0x04UL /**< something but the zeros has changed */
-#define DECOUPLER_BAD_NUMBER 0x08UL /**< an entry is beyond its least or greatest value{{ ", or no number" if b.tree == "float" }} */
+#define DECOUPLER_BAD_NUMBER 0x08UL /**< an entry is beyond its least or greatest value{{ ", or no number" if b.type == "float" }} */
 #define DECOUPLER_BAD_LIMITS 0x10UL /**< a range is empty, or wider than the code is for */
 #define DECOUPLER_BAD_ZEROS 0x40UL /**< zeros have changed otherwise than by decoupler_zero() */
 /** @} */
@@ -76,7 +76,7 @@ extern "C" {
 typedef struct
 {
 {% for i in inputs %}
-    {{ i.type }} {{ i.member }}; /**< [{{ i.unit }}]{{ " " ~ i.kind if b.tree == "float" }} */
+    {{ i.type }} {{ i.member }}; /**< [{{ i.unit }}]{{ " " ~ i.kind if b.type == "float" }} */
 {% endfor %}
 } decoupler_in_t;
 
@@ -104,7 +104,7 @@ typedef struct
 /**
  * Decouple one sample.
  * @param[in] p table that decoupler_check() found nothing wrong with
-{% if b.tree == "float" %}
+{% if b.type == "float" %}
  * @param[in] in readings [{{ d.model.channels | units }}]{{ " and state [" ~ (d.model.state | units) ~ "]" if d.model.state }}
  * @param[out] out {{ d.quantity }} [{{ d.pose | units }}]: always finite; inputs outside their range are brought back to its end
  * @return 0 if every input is finite and within its range, else the bits of those that are not
@@ -135,7 +135,7 @@ uint32_t decoupler_jacobian(const decoupler_params_t *p, const decoupler_in_t *i
 {% endif %}
 
 /**
-{% if b.tree == "float" %}
+{% if b.type == "float" %}
  * Take the zero at a known pose, after a reset: later poses are counted from it.
 {% else %}
  * Take the zero at a known pose, after a reset, into a table in RAM; unchanged unless the result is 0.
@@ -144,7 +144,7 @@ uint32_t decoupler_jacobian(const decoupler_params_t *p, const decoupler_in_t *i
  * table meanwhile can see some new and some old ones. Where that matters, take the zero in a second table.
  * @param[in,out] p table in RAM; only its zeros change, and only if the result is 0
  * @param[in] in sample taken at the known pose
-{% if b.tree == "float" %}
+{% if b.type == "float" %}
  * @param[in] pose where the machine is [{{ d.pose | units }}]; within {{ reach }}
  * @return as decoupler_step(), or DECOUPLER_STATUS_KNOWN
 {% else %}

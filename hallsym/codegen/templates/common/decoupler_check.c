@@ -4,7 +4,7 @@
 
 #include <stddef.h>
 
-{% include b.tree ~ "/fragments/ieee.c" ignore missing %}
+{% include b.type ~ "/fragments/ieee.c" ignore missing %}
 
 {% include "common/fragments/crc.c" %}
 {% if ends %}
@@ -23,9 +23,9 @@ static {{ ends.number }} number(const uint8_t *bytes)
     union
     {
         {{ ends.number }} value;
-        uint8_t bytes[{{ ends.size }}];
+        uint8_t bytes[4];
     } found;
-    for (uint32_t k = 0U; k < {{ ends.size }}U; k++)
+    for (uint32_t k = 0U; k < 4U; k++)
     {
         found.bytes[k] = bytes[k];
     }
@@ -62,7 +62,7 @@ uint32_t decoupler_check(const decoupler_params_t *p)
 {% if ends %}
     for (uint32_t k = 0U; k < {{ ends.listed | length }}U; k++)
     {
-        const {{ ends.number }} value = number(&bytes[(k * {{ ends.size }}U) + {{ ends.place }}]);
+        const {{ ends.number }} value = number(&bytes[(k * 4U) + {{ ends.place }}]);
         if (!((value >= ends[k].least) && (value <= ends[k].greatest)))
         {
             found |= {{ ends.kind }};

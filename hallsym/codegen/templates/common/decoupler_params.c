@@ -11,8 +11,5 @@ const decoupler_params_t decoupler_params = {
     .calibration = {{ b.identity | map("mask") | join(", ") | braced }},
 {{ b.listed(b.constant) }}
     .zeros_crc = {{ b.zeros_crc | mask }},
-{% if b.pad %}
-    .reserved = 0UL,
-{% endif %}
 {{ b.listed(b.offsets) }}
 };

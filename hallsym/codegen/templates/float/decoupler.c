@@ -13,12 +13,12 @@
 #endif
 {% if d.suspects or "MAGNITUDE(" in body | join %}
 #if defined(__GNUC__) && !defined(__FRAMAC__)
-#define MAGNITUDE(value) {{ b.real.fabs }}(value) /* one instruction, and no libm */
+#define MAGNITUDE(value) __builtin_fabsf(value) /* one instruction, and no libm */
 #else
 #define MAGNITUDE(value) magnitude(value)
-static inline {{ real }} magnitude({{ real }} value) /* -0 gives 0, as the instruction does */
+static inline float magnitude(float value) /* -0 gives 0, as the instruction does */
 {
-    return (value > {{ zero }}) ? value : ({{ zero }} - value);
+    return (value > 0.0f) ? value : (0.0f - value);
 }
 #endif
 {% endif %}
@@ -26,9 +26,9 @@ static inline {{ real }} magnitude({{ real }} value) /* -0 gives 0, as the instr
 {% if by_size == "all" %}
 #if defined(__FRAMAC__)
 {% endif %}
-INLINE {{ real }} limited({{ real }} value, {{ real }} low, {{ real }} high, uint32_t bit, uint32_t *status)
+INLINE float limited(float value, float low, float high, uint32_t bit, uint32_t *status)
 {
-    {{ real }} result = value;
+    float result = value;
     if (UNLIKELY(!(value <= high))) /* NaN goes here too */
     {
         result = high;
@@ -53,26 +53,26 @@ INLINE {{ real }} limited({{ real }} value, {{ real }} low, {{ real }} high, uin
 #if !defined(__FRAMAC__)
 typedef union
 {
-    {{ real }} value;
-    {{ b.real.word }} bits;
+    float value;
+    uint32_t bits;
 } number_t;
 
 /* Numbers of one sign are in the order of their bits, and NaN is above them all; the limit is not negative. */
-INLINE {{ real }} within({{ real }} value, {{ real }} limit, uint32_t bit, uint32_t *status)
+INLINE float within(float value, float limit, uint32_t bit, uint32_t *status)
 {
     number_t result;
     number_t most;
     result.value = value;
     most.value = limit;
-    if ((result.bits & {{ b.real.size_mask }}) > most.bits)
+    if ((result.bits & 0x7FFFFFFFUL) > most.bits)
     {
-        result.bits = most.bits | (result.bits & {{ b.real.sign_mask }});
+        result.bits = most.bits | (result.bits & 0x80000000UL);
         *status {{ "|=" if d.shared else "+=" }} bit; /* {{ "inputs share bits" if d.shared else "each bit once" }} */
     }
     return result.value;
 }
 #else /* the same for a tool that does not follow bits; proof/exhaustive.c tries the other */
-INLINE {{ real }} within({{ real }} value, {{ real }} limit, uint32_t bit, uint32_t *status)
+INLINE float within(float value, float limit, uint32_t bit, uint32_t *status)
 {
     return limited(value, -limit, limit, bit, status);
 }
@@ -113,7 +113,7 @@ uint32_t decoupler_zero(decoupler_params_t *p, const decoupler_in_t *in, const d
     if ({{ known_within }})
     {
 {% if d.at_pose %}
-        {{ real }} zeros[{{ d.pose | length }}];
+        float zeros[{{ d.pose | length }}];
         status = 0U;
         {{ all_clamped }}
 {% if d.redundancy %}
@@ -128,15 +128,15 @@ uint32_t decoupler_zero(decoupler_params_t *p, const decoupler_in_t *in, const d
         zeros[{{ o.index }}] = pose->{{ o.member }} - {{ o.name }}_seen;
 {% endfor %}
 {% else %}
-        {{ real }} zeros[{{ d.pose | length }}];
+        float zeros[{{ d.pose | length }}];
         decoupler_out_t seen;
         status = decoupler_step(p, in, &seen);
 {% for o in outputs %}
         zeros[{{ o.index }}] = p->{{ o.zero }} + (pose->{{ o.member }} - seen.{{ o.member }});
 {% endfor %}
 {% for o in outputs if o.column in d.model.period %}
-        const {{ real }} turns_{{ o.index }} = zeros[{{ o.index }}] / {{ o.period }}; /* at most two: a zero, and what the pose moves by */
-        zeros[{{ o.index }}] -= {{ o.period }} * ({{ real }})(int32_t)turns_{{ o.index }};
+        const float turns_{{ o.index }} = zeros[{{ o.index }}] / {{ o.period }}; /* at most two: a zero, and what the pose moves by */
+        zeros[{{ o.index }}] -= {{ o.period }} * (float)(int32_t)turns_{{ o.index }};
 {% endfor %}
 {% endif %}
         if (status == 0U)

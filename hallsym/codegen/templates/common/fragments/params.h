@@ -10,9 +10,6 @@ typedef struct
     {{ e.member }}
 {% endfor %}
     uint32_t zeros_crc; /**< CRC-32 of the zeros */
-{% if b.pad %}
-    uint32_t reserved; /**< 0 */
-{% endif %}
 {% for e in b.offsets %}
     {{ e.member }}
 {% endfor %}

@@ -3,7 +3,7 @@ uint32_t decoupler_step(const decoupler_params_t *p, const decoupler_in_t *in, d
     {{ real }} left[{{ d.watched | length }}];
     uint32_t status = pose_of(p, in, left, out);
     out->suspect = 0U;
-    if ({{ "UNLIKELY((" if b.tree == "float" else "(" }}status & DECOUPLER_STATUS_FAULT) != 0U{{ ")" if b.tree == "float" }})
+    if ({{ "UNLIKELY((" if b.type == "float" else "(" }}status & DECOUPLER_STATUS_FAULT) != 0U{{ ")" if b.type == "float" }})
     {
         status = suspected(p, {{ "in, " if d.mends }}status, left, out);
     }

@@ -1,5 +1,5 @@
 {% if d.suspects %}
-{% include b.tree ~ "/fragments/size_of.c" %}
+{% include b.type ~ "/fragments/size_of.c" %}
 {% if d.mends %}
 {% include "common/fragments/without.c" %}
 {% endif %}

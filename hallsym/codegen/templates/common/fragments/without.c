@@ -1,4 +1,4 @@
-{% include b.tree ~ "/fragments/in_32_bits.c" ignore missing %}
+{% include b.type ~ "/fragments/in_32_bits.c" ignore missing %}
 /* Decode with the value of one reading at which nothing is left of it: along the line through two. */
 static uint32_t without(const decoupler_params_t *p, const decoupler_in_t *in, uint32_t k, uint32_t number,
                         {{ real }} *left, decoupler_out_t *out)
@@ -22,14 +22,14 @@ static uint32_t without(const decoupler_params_t *p, const decoupler_in_t *in, u
         }
         status = pose_of(p, &given, left, out);
         const {{ real }} now = left[k];
-{% if b.tree == "float" %}
+{% if b.type == "float" %}
         {{ real }} step = now;
 {% else %}
         int64_t step = -{{ suspects.nudged }};
 {% endif %}
         if (n > 0U)
         {
-{% if b.tree == "float" %}
+{% if b.type == "float" %}
             step = ((now < last) || (now > last)) ? ((now * (value - before)) / (now - last)) : {{ zero }};
 {% else %}
             step = (now == last) ? 0 : ((now * ((int64_t)value - before)) / ((int64_t)now - last));
@@ -37,7 +37,7 @@ static uint32_t without(const decoupler_params_t *p, const decoupler_in_t *in, u
         }
         before = value;
         last = now;
-        value = {{ "value - step" if b.tree == "float" else "in_32_bits((int64_t)value - step)" }};
+        value = {{ "value - step" if b.type == "float" else "in_32_bits((int64_t)value - step)" }};
     }
     return status;
 }

@@ -3,7 +3,7 @@
 /* Faults of a table, each by itself, that decoupler_check() must find. */
 #include "selftest.h"
 
-{% if b.tree == "float" %}
+{% if b.type == "float" %}
 #include <float.h>
 #include <math.h>
 {% endif %}

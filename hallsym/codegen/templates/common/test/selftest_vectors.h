@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: {{ license }} */
 /* {{ generated }}; do not edit: generate again from the calibration. */
-/* Inputs, the pose {{ "that the model gives" if b.tree == "float" else "[SI] of the model" }} in double, status. Bounds of the error; hashes. */
-{% if b.tree == "float" %}
+/* Inputs, the pose {{ "that the model gives" if b.type == "float" else "[SI] of the model" }} in double, status. Bounds of the error; hashes. */
+{% if b.type == "float" %}
 #include <math.h>
 
 {% endif %}

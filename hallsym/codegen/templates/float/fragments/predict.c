@@ -3,24 +3,24 @@
 {%- endmacro %}
 {% set usable = "(status == 0U) || (status == DECOUPLER_STATUS_DEGRADED)" if d.mends else "status == 0U" %}
 
-static {{ real }} slower({{ real }} speed, {{ real }} most)
+static float slower(float speed, float most)
 {
     return (speed > most) ? most : ((speed < -most) ? -most : speed);
 }
 {% if d.model.period %}
 
-static {{ real }} around({{ real }} value, {{ real }} period)
+static float around(float value, float period)
 {
-    const {{ real }} half = period * {{ constant(0.5) }};
+    const float half = period * 0.5f;
     return (value > half) ? (value - period) : ((value < -half) ? (value + period) : value);
 }
 {% endif %}
 
 void decoupler_track(const decoupler_params_t *p, decoupler_track_t *track, const decoupler_out_t *pose,
-                     uint32_t status, {{ real }} dt)
+                     uint32_t status, float dt)
 {
-    const {{ real }} gap = track->gap + dt;
-    if (!((dt > {{ zero }}) && (gap <= p->longest_gap)))
+    const float gap = track->gap + dt;
+    if (!((dt > 0.0f) && (gap <= p->longest_gap)))
     {
         track->samples = 0U;
     }
@@ -33,11 +33,11 @@ void decoupler_track(const decoupler_params_t *p, decoupler_track_t *track, cons
         if ({{ usable }})
         {
 {% for o in outputs %}
-            const {{ real }} off_{{ o.name }} = {{ around(o, "pose->" ~ o.member ~ " - track->" ~ o.member) }};
+            const float off_{{ o.name }} = {{ around(o, "pose->" ~ o.member ~ " - track->" ~ o.member) }};
             track->{{ o.member }} = {{ around(o, "track->" ~ o.member ~ " + (p->observer_position * off_" ~ o.name ~ ")") }};
             track->speed_{{ o.name }} = slower(track->speed_{{ o.name }} + (p->observer_speed * off_{{ o.name }}), p->fastest_{{ o.name }});
 {% endfor %}
-            track->gap = {{ zero }};
+            track->gap = 0.0f;
             track->samples += (track->samples < 0xFFFFFFFFUL) ? 1U : 0U;
         }
     }
@@ -47,25 +47,25 @@ void decoupler_track(const decoupler_params_t *p, decoupler_track_t *track, cons
         track->{{ o.member }} = pose->{{ o.member }};
 {% endfor %}
 {% for o in outputs %}
-        track->speed_{{ o.name }} = {{ zero }};
+        track->speed_{{ o.name }} = 0.0f;
 {% endfor %}
-        track->gap = {{ zero }};
+        track->gap = 0.0f;
         track->samples = 1U;
     }
     else
     {
-        track->gap = {{ zero }};
+        track->gap = 0.0f;
     }
 }
 
-uint32_t decoupler_predict(const decoupler_params_t *p, const decoupler_track_t *track, {{ real }} ahead,
+uint32_t decoupler_predict(const decoupler_params_t *p, const decoupler_track_t *track, float ahead,
                            decoupler_out_t *pose)
 {
-    uint32_t status = (({{ real }})track->samples < p->observer_settled) ? DECOUPLER_PREDICT_STARTING : 0U;
-    {{ real }} time = ahead + p->latency;
+    uint32_t status = ((float)track->samples < p->observer_settled) ? DECOUPLER_PREDICT_STARTING : 0U;
+    float time = ahead + p->latency;
     if (!((time >= -p->longest_gap) && (time <= p->longest_gap)))
     {
-        time = {{ zero }};
+        time = 0.0f;
         status |= DECOUPLER_PREDICT_AHEAD;
     }
 {% for o in outputs %}

@@ -14,7 +14,7 @@ typedef struct
 {% for o in outputs %}
     {{ o.type }} speed_{{ o.name }}; /**< [{{ o.unit }}/s] */
 {% endfor %}
-    {{ real }} gap; /**< [s] since the last usable sample */
+    float gap; /**< [s] since the last usable sample */
     uint32_t samples; /**< used since the start */
 } decoupler_track_t;
 
@@ -27,7 +27,7 @@ typedef struct
  * @param[in] dt [s] from the timestamp of the sample before to that of this one; a longer gap starts anew
  */
 void decoupler_track(const decoupler_params_t *p, decoupler_track_t *track, const decoupler_out_t *pose,
-                     uint32_t status, {{ real }} dt);
+                     uint32_t status, float dt);
 
 /**
  * Where the machine is some time after the timestamp of the last sample; the latency of the table is added.
@@ -37,5 +37,5 @@ void decoupler_track(const decoupler_params_t *p, decoupler_track_t *track, cons
  * @param[out] pose always finite
  * @return 0, or DECOUPLER_PREDICT_* bits
  */
-uint32_t decoupler_predict(const decoupler_params_t *p, const decoupler_track_t *track, {{ real }} ahead,
+uint32_t decoupler_predict(const decoupler_params_t *p, const decoupler_track_t *track, float ahead,
                            decoupler_out_t *pose);

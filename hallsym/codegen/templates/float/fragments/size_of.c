@@ -1,4 +1,4 @@
-static {{ real }} size_of({{ real }} left, {{ real }} root)
+static float size_of(float left, float root)
 {
     return MAGNITUDE(left * root);
 }

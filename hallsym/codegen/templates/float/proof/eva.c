@@ -13,7 +13,7 @@ static void every_table(void)
     decoupler_in_t in;
     decoupler_out_t out;
 {% for e in b.entries %}
-{% set kind = "" if e.values.dtype.kind == "i" else real ~ "_" %}
+{% set kind = "" if e.values.dtype.kind == "i" else "float_" %}
 {% if e.values.ndim %}
     for (uint32_t k = 0U; k < {{ e.values | length }}U; k++)
     {
@@ -24,7 +24,7 @@ static void every_table(void)
 {% endif %}
 {% endfor %}
 {% for i in inputs %}
-    in.{{ i.member }} = Frama_C_{{ real }}_interval(-{{ i.far }}, {{ i.far }});
+    in.{{ i.member }} = Frama_C_float_interval(-{{ i.far }}, {{ i.far }});
 {% endfor %}
     (void)decoupler_step(&table, &in, &out);
 }
@@ -35,7 +35,7 @@ int main(void)
     decoupler_out_t out;
     every_table();
 {% for i in inputs %}
-    in.{{ i.member }} = Frama_C_{{ real }}_interval({{ i.least }}, {{ i.greatest }});
+    in.{{ i.member }} = Frama_C_float_interval({{ i.least }}, {{ i.greatest }});
 {% endfor %}
     const uint32_t status = decoupler_step(&decoupler_params, &in, &out);
     //@ assert status_zero: {{ status_or_flags }};

@@ -9,19 +9,19 @@
 #include "decoupler_params.h"
 
 {% for by in inputs | map(attribute="by") | unique | sort(reverse=true) %}
-static unsigned long all_{{ by }}({{ real ~ " low, " if by == "limited" }}{{ real }} high)
+static unsigned long all_{{ by }}({{ "float low, " if by == "limited" }}float high)
 {
 {% if by == "within" %}
-    const {{ real }} low = -high;
+    const float low = -high;
 {% endif %}
     unsigned long bad = 0UL;
     uint32_t bits = 0U;
     do
     {
-        {{ real }} value;
+        float value;
         uint32_t status = 0U;
         (void)memcpy(&value, &bits, sizeof(value));
-        const {{ real }} held = {{ by }}(value, {{ "low, " if by == "limited" }}high, 1U, &status);
+        const float held = {{ by }}(value, {{ "low, " if by == "limited" }}high, 1U, &status);
 {% include "common/fragments/tried.c" %}
 
 {% endfor %}

@@ -33,39 +33,28 @@ static uint32_t mix(uint32_t x)
     return x ^ (x >> 16U);
 }
 
-static uint32_t word({{ real }} value)
+static uint32_t word(float value)
 {
-{% if real == "float" %}
     uint32_t bits = 0U;
     (void)memcpy(&bits, &value, sizeof(bits));
     return bits;
-{% else %}
-    uint64_t bits = 0U;
-    (void)memcpy(&bits, &value, sizeof(bits));
-    return (uint32_t)(bits >> 32U) ^ mix((uint32_t)bits);
-{% endif %}
 }
 
 /* Most samples lie in the box; every 16th has any bits at all, every 16th is four times too large. */
-static {{ real }} input(uint32_t n, uint32_t k, {{ real }} low, {{ real }} high)
+static float input(uint32_t n, uint32_t k, float low, float high)
 {
     const uint32_t raw = mix((n * {{ inputs | length }}U) + k);
     const uint32_t kind = mix(n ^ 0x9E3779B9UL) & 15U;
-    const {{ real }} share = ({{ real }})(raw >> 8U) * {{ constant(2.0**-24) }};
-    const {{ real }} part = (high - low) * share;
-    {{ real }} value = low + part;
+    const float share = (float)(raw >> 8U) * 5.96046448e-08f;
+    const float part = (high - low) * share;
+    float value = low + part;
     if (kind == 0U)
     {
-{% if real == "float" %}
         (void)memcpy(&value, &raw, sizeof(value));
-{% else %}
-        const uint64_t bits = ((uint64_t)raw << 32U) | (uint64_t)mix(raw);
-        (void)memcpy(&value, &bits, sizeof(value));
-{% endif %}
     }
     else if (kind == 1U)
     {
-        value *= {{ constant(4.0) }};
+        value *= 4.0f;
     }
     else
     {
@@ -86,7 +75,7 @@ static void take(uint32_t n, decoupler_params_t *table)
 {
     const uint32_t kind = mix(n ^ 0x85EBCA6BUL) & 3U;
 {% for o in outputs %}
-    table->{{ o.zero }} = (kind == 2U) ? {{ o.hashed }} : ((kind == 3U) ? -{{ o.hashed }} : {{ zero }});
+    table->{{ o.zero }} = (kind == 2U) ? {{ o.hashed }} : ((kind == 3U) ? -{{ o.hashed }} : 0.0f);
 {% endfor %}
 }
 
@@ -111,7 +100,7 @@ uint32_t decoupler_hash(uint32_t count)
     return total;
 }
 
-static uint32_t differs({{ real }} value, double wanted, double bound, double *worst)
+static uint32_t differs(float value, double wanted, double bound, double *worst)
 {
     const double error = ((double)value > wanted) ? ((double)value - wanted) : (wanted - (double)value);
     if (error > *worst)
@@ -154,15 +143,15 @@ decoupler_selftest_t decoupler_selftest(void)
 }
 
 /* 0 if a value is the wanted one, or one period from it. */
-static uint32_t away({{ real }} value, {{ real }} wanted, {{ real }} period)
+static uint32_t away(float value, float wanted, float period)
 {
-    const {{ real }} error = (value > wanted) ? (value - wanted) : (wanted - value);
-    const {{ real }} other = (error > period) ? (error - period) : (period - error);
+    const float error = (value > wanted) ? (value - wanted) : (wanted - value);
+    const float other = (error > period) ? (error - period) : (period - error);
     return ((error < {{ near }}) || (other < {{ near }})) ? 0U : 1U;
 }
 
 /* 0 if a zero is taken at each pose of a few, after another one, and the pose is the known one then. */
-static uint32_t not_taken(const decoupler_in_t *in, {{ real }} before)
+static uint32_t not_taken(const decoupler_in_t *in, float before)
 {
     static const decoupler_out_t known[{{ known | length }}] = {
 {% for row in known %}
@@ -192,7 +181,7 @@ static uint32_t not_refused(const decoupler_in_t *in, const decoupler_out_t *pos
 {
     decoupler_params_t table = decoupler_params;
 {% for o in outputs %}
-    table.{{ o.zero }} = {{ constant(2.0**-12) }};
+    table.{{ o.zero }} = 0.000244140625f;
 {% endfor %}
     const decoupler_params_t before = table;
     uint32_t bad = (decoupler_zero(&table, in, pose) == status) ? 0U : 1U;
@@ -209,7 +198,7 @@ uint32_t decoupler_missed_zeros(void)
         decoupler_out_t pose = {0};
         if (decoupler_vectors[k].status == 0U)
         {
-            bad += not_taken(in, {{ constant(1.0) }}) + not_taken(in, -{{ constant(1.0) }});
+            bad += not_taken(in, 1.0f) + not_taken(in, -1.0f);
 {% for member, values in far.items() %}
 {% for value in values %}
             pose.{{ member }} = {{ value }};
