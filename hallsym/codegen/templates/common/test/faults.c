@@ -27,9 +27,8 @@ static uint32_t missed_bits(void)
     {
         const uint32_t k = n / 8U;
         const uint8_t bit = (uint8_t)(1U << (n % 8U));
-        const uint32_t padding = ((k >= (ZEROS_CRC + 4U)) && (k < ZEROS)) ? 1U : 0U;
         const uint32_t tried = ((k < 64U) || ((k + 64U) >= LENGTH) || (LENGTH < 512U) || ((n % 61U) == 0U)) ? 1U : 0U;
-        if ((tried != 0U) && (padding == 0U))
+        if (tried != 0U)
         {
             bytes[k] ^= bit;
             missed += (decoupler_check(&table) == 0U) ? 1U : 0U;
