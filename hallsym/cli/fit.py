@@ -51,8 +51,7 @@ logs LOG <several>              Parquet, CSV, MATLAB or HDF5 file, or a folder w
     'eta_*'
 --solver SOLVER <=hybrid>       hybrid (SHTLBO + closed form), direct (closed form), or the global
     search: shtlbo, tlbo, gbtlbo, screening
---loss LOSS <=auto>             auto (take out isolated spikes if there are any), none, reject,
-    tukey
+--loss LOSS <=auto>             auto (take out isolated spikes if there are any), none, reject
 @correct
 --accept CLAIM <repeat>         overrule a claim by its name, such as delay; 'all' overrules every one
     (repeat)

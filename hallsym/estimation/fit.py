@@ -44,7 +44,7 @@ from hallsym.log.batches import Weigh, batches, remembered
 from hallsym.log.phase import continuous, nearest_turn
 from hallsym.model import Model
 
-LOSSES = ("auto", "none", "reject", "tukey")
+LOSSES = ("auto", "none", "reject")
 
 
 def fit(
@@ -98,7 +98,7 @@ def fit(
     hybrid; Newton's method ends all, or IPOPT where that does not converge.
     `holdout`: runs that take no part in the fit; the log's own by default. Their zero deviations are
     estimated from themselves. `loss`: "auto" takes out isolated spikes if there are any and says so, "reject"
-    always looks for them, "tukey" weighs every sample by Tukey's biweight, "none" is plain least squares.
+    always looks for them, "none" is plain least squares.
     `parameters`: changed nominal values and bounds. `effects`: effects to add, by name, with their numbers or
     without (`hysteresis:half_width_m=6e-05`; `hallsym.diagnosis.choose.model_on` finds them on a log). `own`:
     the user's effects by name. `start`: (n,) values to begin from instead of the closed form.
@@ -440,7 +440,9 @@ class _Together:
                 self.logs[g].begun = _weighed(tasks[g], weigh[g], clean[g])
             left = sum(self.logs[g].begun.samples for g in loud)
             if left < total:
-                self.asked.say(f"refitting without outliers ({100 * (1 - left / total):.2g} % of the weight)")
+                self.asked.say(
+                    f"refitting without outliers ({100 * (1 - left / total):.2g} % of the samples)"
+                )
                 state = self.solve("direct")
             if abs(left - before) <= 1e-6 * total or not left_over:
                 break
@@ -451,7 +453,7 @@ class _Together:
             one, wrong_for = self.logs[g], rules[g].wrong_for
             if one.begun.samples < begun.samples:
                 one.keep = weigh[g]
-                one.notes += (_left_out(begun.samples, one.begun.samples, self.asked.loss),)
+                one.notes += (_left_out(begun.samples, one.begun.samples),)
             else:
                 one.begun = begun
             if wrong_for:
@@ -482,12 +484,9 @@ def _weighed(task: Task, weigh: Weigh, clean: Begun) -> Begun:
     return task.begin(task.summary(weigh)) if lost else clean
 
 
-def _left_out(total: float, left: float, loss: str) -> str:
-    """Return a note on the weight that outliers lost."""
-    share = f"{100 * (total - left) / total:.2g} %"
-    if loss == "tukey":
-        return f"Tukey's biweight took {share} of the weight."
+def _left_out(total: float, left: float) -> str:
+    """Return a note on the samples that were left out."""
     return (
-        f"{total - left:.0f} of {total:.0f} samples ({share}) are isolated spikes and were left out of fit "
-        "and error tables (--loss none keeps them)."
+        f"{total - left:.0f} of {total:.0f} samples ({100 * (total - left) / total:.2g} %) are isolated "
+        "spikes and were left out of fit and error tables (--loss none keeps them)."
     )

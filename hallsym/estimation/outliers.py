@@ -30,20 +30,27 @@ are no spikes."""
 MOSTLY_SPIKY, SPIKY_STD = 30, 0.38532
 """Percentile of jumps that gives their usual scale, and its value for unit normal noise: two thirds of them
 may be spikes or neighbours of one, as where a tenth of all samples are spikes."""
-TUKEY = 4.685
-"""Tukey's biweight constant: 95 % efficient for Gaussian noise."""
 
 
 @dataclass(eq=False)
 class Filter:
-    """Weights of a block's samples, 0 for an outlier. `wrong_for`: columns in which too many seem spikes."""
+    """Weights of a block's samples: 0 where any column has a spike, else 1.
 
-    weigh: Callable[[Block, set[str]], np.ndarray]
+    `find(block)`: the spikes (columns, samples), and the share of samples that are known to be bad by other
+    columns. `wrong_for`: columns with too many (`MADE_FOR`) to be spikes, which do not count.
+    """
+
+    find: Callable[[Block], tuple[np.ndarray, float]]
+    columns: Sequence[str]
     wrong_for: set[str] = field(default_factory=set)
 
     def __call__(self, block: Block) -> np.ndarray:
         """Return the weights (samples,)."""
-        return self.weigh(block, self.wrong_for)
+        found, expected = self.find(block)
+        n, share = found.shape[1], min(expected + MADE_FOR, 1.0)
+        wrong = found.sum(axis=1) > n * share + CLEARLY * np.sqrt(n * share * (1 - share))
+        self.wrong_for |= {name for name, many in zip(self.columns, wrong, strict=True) if many}
+        return (~found[~wrong].any(axis=0)).astype(float)
 
 
 def column_spikes(columns: Sequence[str]) -> Filter:
@@ -51,28 +58,9 @@ def column_spikes(columns: Sequence[str]) -> Filter:
 
     Each sample is compared with the median of six linear predictions from its four neighbours. The worst of
     each neighbourhood is replaced by it and the comparison repeated, so that a spike neither hides the next
-    one nor flags a good one. A column with too many (`MADE_FOR`) flags none.
+    one nor flags a good one.
     """
-
-    def weigh(block: Block, wrong_for: set[str]) -> np.ndarray:
-        found = _leaves_neighbourhood(np.array([block.data[name] for name in columns]))
-        return _believed(found, columns, wrong_for)
-
-    return Filter(weigh)
-
-
-def _believed(
-    found: np.ndarray, columns: Sequence[str], wrong_for: set[str], expected: float = 0.0
-) -> np.ndarray:
-    """Return weights, without the findings (columns, samples) of columns with too many to be spikes.
-
-    `expected`: share of samples that are known to be bad by other columns.
-    """
-    n, share = found.shape[1], min(expected + MADE_FOR, 1.0)
-    most = n * share + CLEARLY * np.sqrt(n * share * (1 - share))
-    wrong = found.sum(axis=1) > most
-    wrong_for |= {name for name, many in zip(columns, wrong, strict=True) if many}
-    return (~found[~wrong].any(axis=0)).astype(float)
+    return Filter(lambda b: (_leaves_neighbourhood(np.array([b.data[c] for c in columns])), 0.0), columns)
 
 
 def _leaves_neighbourhood(values: np.ndarray) -> np.ndarray:
@@ -158,7 +146,7 @@ def reject_spikes(
     residual: Callable[[Block], np.ndarray],
     covariance: np.ndarray,
     suspects: Weigh,
-    channels: Sequence[str] = (),
+    channels: Sequence[str],
 ) -> Filter:
     """Return weights 0 for isolated spikes of any channel's residual against a running median, else 1.
 
@@ -169,7 +157,7 @@ def reject_spikes(
     """
     stated = np.sqrt(np.diag(covariance))[:, None]
 
-    def weigh(block: Block, wrong_for: set[str]) -> np.ndarray:
+    def find(block: Block) -> tuple[np.ndarray, float]:
         r, good = residual(block), suspects(block) > 0
         suspected = 1.0 - float(good.mean())
         spike = np.zeros_like(r, dtype=bool)
@@ -185,9 +173,9 @@ def reject_spikes(
                 break
             if _abound(side, spike):  # spikes take no part in the scale of others
                 good = good & ~spike.any(axis=0)
-        return _believed(spike, channels or [str(k) for k in range(len(r))], wrong_for, suspected)
+        return spike, suspected
 
-    return Filter(weigh)
+    return Filter(find, channels)
 
 
 def _abound(side: np.ndarray, spike: np.ndarray) -> bool:
@@ -252,25 +240,5 @@ def too_many_note(columns: Sequence[str]) -> tuple[str, ...]:
     """Return a note on columns in which more samples seem spikes than the filter allows."""
     return (
         f"More than {100 * MADE_FOR:.0f} % of {' and '.join(columns)} seem spikes, which steps, corners and "
-        "rounding do too: none of them was left out for that (--loss tukey weighs samples by their error).",
+        "rounding do too: none of them was left out for that.",
     )
-
-
-def tukey(residual: Callable[[Block], np.ndarray], covariance: np.ndarray) -> Filter:
-    """Return Tukey's biweight of the residual's Mahalanobis distance, its scale robust over each block.
-
-    `covariance`: (n_channels, n_channels) of one sample's residual.
-    """
-    whiten = np.linalg.cholesky(np.linalg.inv(covariance)).T
-    channels = len(covariance)
-    typical = float(
-        np.sqrt(2 * scipy.special.gammaincinv(channels / 2, 0.5) / channels)
-    )  # median of Gaussian noise
-
-    def weigh(block: Block, _: set[str]) -> np.ndarray:
-        distance = np.linalg.norm(whiten @ residual(block), axis=0) / np.sqrt(channels)
-        scale = max(float(np.median(distance)) / typical, 1.0)
-        u = np.minimum(distance / (TUKEY * scale), 1.0)
-        return (1 - u**2) ** 2
-
-    return Filter(weigh)

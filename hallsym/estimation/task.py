@@ -291,8 +291,6 @@ class Task:
         """Return weights that reject outliers by the residuals of the fit so far."""
         residual = residuals(self.model, state.p, state.offsets())
         covariance = state.point.covariance.mean(axis=0)
-        if self.asked.loss == "tukey":
-            return outliers.tukey(residual, covariance)
         return outliers.reject_spikes(residual, covariance, suspects, self.model.channels)
 
 

@@ -215,10 +215,10 @@ FAULTS = {
     fault.name: fault
     for fault in (
         RecordingFault("outliers", "electronics", "single readings are far off: spikes",
-                       "fit with --loss auto or tukey, which leave spikes out or weigh them down.",
+                       "fit with --loss auto or reject, which leave spikes out.",
                        _spikes, rare=True),
         RecordingFault("dropped_samples", "clock", "readings that are older than their time stamp",
-                       "repair the acquisition, or leave the samples out (--loss tukey).",
+                       "repair the acquisition; --loss reject leaves out those that are far off.",
                        _stale, rare=True),
         RecordingFault("clock_jitter", "clock", "sampling instants that scatter",
                        "take readings and reference on one clock, and record again.", _jitter),

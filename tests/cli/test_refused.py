@@ -40,7 +40,7 @@ SENTENCES = [
     ("fit log.csv --model stage3", "did you mean 'stage31'"),
     ("fit log.csv --effect histeresis", "did you mean 'hysteresis'"),
     ("fit log.csv --solver hybrd", "did you mean 'hybrid'"),
-    ("fit log.csv --loss tuky", "did you mean 'tukey'"),
+    ("fit log.csv --loss rejct", "did you mean 'reject'"),
     ("fit log.csv --format cvs", "did you mean 'csv'"),
     *((f"fit log.csv {option} ''", f"{option} must not be empty") for option in ("-o", "--plots", "--model")),
     *((f"info '{name}'", "") for name in (LONG, f"{LONG}.csv", f"{'d' * 100}/" * 3 + "a.csv")),

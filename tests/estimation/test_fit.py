@@ -216,7 +216,7 @@ def test_bounds_that_exclude_the_start_are_refused(log):
     ("options", "said"),
     [
         ({"solver": "tblo"}, "did you mean 'tlbo'"),
-        ({"loss": "huber"}, "auto, none, reject, tukey"),
+        ({"loss": "huber"}, "auto, none, reject"),
         ({"model": "stage13"}, "did you mean"),
         ({"effects": ("hysteresi",)}, "did you mean 'hysteresis'"),
         ({"effects": ("hysteresis",)}, "hysteresis needs half_width_m"),
@@ -230,10 +230,9 @@ def test_unknown_options_are_refused(log, options, said):
 # -- outliers --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("loss", ["reject", "tukey"])
-def test_robust_losses_bear_outliers_that_plain_least_squares_does_not(loss):
+def test_a_fit_without_spikes_bears_outliers_that_plain_least_squares_does_not():
     log = with_noise(record(seed=23, samples=100, outlier_share=0.01, outlier_size=1e-3))
-    robust = fit(log, "stage31", solver="direct", loss=loss)
+    robust = fit(log, "stage31", solver="direct", loss="reject")
     assert max(map(abs, deviations(robust).values())) < 4.2
     plain = fit(log, "stage31", solver="direct", loss="none", accept=["all"])
     worst = max(

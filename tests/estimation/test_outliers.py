@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from twins import HALL
 
-from hallsym.estimation.outliers import column_spikes, reject_spikes, tukey
+from hallsym.estimation.outliers import column_spikes, reject_spikes
 from hallsym.log import Block
 
 SIGMA = 1e-6
@@ -20,11 +20,7 @@ def block(r: np.ndarray) -> Block:
 
 
 def spikes(covariance: np.ndarray = COVARIANCE):
-    return reject_spikes(lambda b: np.array([b.data[c] for c in HALL]), covariance, column_spikes(HALL))
-
-
-def biweight(covariance: np.ndarray = COVARIANCE):
-    return tukey(lambda b: np.array([b.data[c] for c in HALL]), covariance)
+    return reject_spikes(lambda b: np.array([b.data[c] for c in HALL]), covariance, column_spikes(HALL), HALL)
 
 
 def noise(seed: int, n: int = 400) -> np.ndarray:
@@ -139,7 +135,7 @@ def test_a_rail_tells_of_no_spikes():
     suspected = column_spikes(("turns",))(Block(0, columns)) == 0
     assert suspected.any()
     weigh = reject_spikes(
-        lambda b: np.array([b.data[c] for c in HALL]), COVARIANCE, column_spikes(("turns",))
+        lambda b: np.array([b.data[c] for c in HALL]), COVARIANCE, column_spikes(("turns",)), HALL
     )
     assert np.all(weigh(Block(0, columns))[~suspected] == 1)
 
@@ -154,7 +150,7 @@ def test_spikes_side_by_side_at_the_end_of_a_run_do_not_vouch_for_each_other(end
     suspected = column_spikes(("flagged",))(Block(0, columns))[end] == 0
     assert np.array_equal(np.flatnonzero(suspected), [2, 4, 5])
     weigh = reject_spikes(
-        lambda b: np.array([b.data[c] for c in HALL]), COVARIANCE, column_spikes(("flagged",))
+        lambda b: np.array([b.data[c] for c in HALL]), COVARIANCE, column_spikes(("flagged",)), HALL
     )
     kept = weigh(Block(0, columns))[end]
     assert np.all(kept[[1, 2, 3, 4, 5]] == 0)
@@ -179,25 +175,3 @@ def test_runs_too_short_to_judge_are_kept():
     for n in (1, 2, 6):
         assert np.all(column_spikes(("hall_a_m",))(block(noise(0, n))) == 1.0)
         assert np.all(spikes()(block(noise(0, n))) == 1.0)
-
-
-@settings(max_examples=25)
-@given(seeds, st.floats(0.1, 30.0))
-def test_biweight_follows_its_formula(seed, size):
-    """(1 - u^2)^2 with u = distance / (4.685 scale); the scale is at least the stated one."""
-    r = 1e-3 * noise(seed)
-    r[:, 7] = [size * SIGMA, 0.0, 0.0]
-    u = size / np.sqrt(3) / 4.685
-    expected = (1 - u**2) ** 2 if u < 1 else 0.0
-    assert biweight()(block(r))[7] == pytest.approx(expected, rel=1e-2, abs=1e-9)
-
-
-def test_biweight_of_gaussian_noise_does_not_depend_on_its_size():
-    r = noise(3, 5000)
-    small, large = (biweight()(block(f * r)) for f in (2.0, 200.0))
-    assert np.allclose(small, large, rtol=0, atol=1e-12)
-    assert 0.8 < small.mean() < 0.95
-    # whitening: correlated noise of the stated covariance weighs the same as white noise
-    mix = np.array([[1.0, 0.0, 0.0], [0.8, 0.6, 0.0], [0.5, 0.5, 0.7]])
-    other = biweight(mix @ COVARIANCE @ mix.T)(block(mix @ r))
-    assert np.allclose(other, biweight()(block(r)), rtol=0, atol=1e-9)

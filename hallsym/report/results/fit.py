@@ -360,7 +360,7 @@ def _spikes(log: Log, fit: Fit) -> Weigh:
     }
     suspects = column_spikes((*model.references, *model.channels))
     covariance = cost.at(fit.values).covariance.mean(axis=0)
-    return reject_spikes(residuals(model, fit.values, offsets), covariance, suspects)
+    return reject_spikes(residuals(model, fit.values, offsets), covariance, suspects, model.channels)
 
 
 # -- picture: errors by setting -------------------------------------------------------------------------
