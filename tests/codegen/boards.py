@@ -14,7 +14,6 @@ import hallsym
 from hallsym.families import effects
 from hallsym.families.halbach import planar as movers
 from hallsym.families.halbach.effects import ends
-from hallsym.families.halbach.effects.planar_ends import array_edges
 from hallsym.families.halbach.layout import Array, Sensor, arrays, columns
 from hallsym.families.halbach.models import halbach
 
@@ -86,7 +85,9 @@ def rows(length=3 * LENGTH, reach=ROWS_REACH):
         for a in found for k, at in enumerate(spread(6, 0.02))
     ]  # fmt: skip
     values = {"a1": 0.62, "a5": -6e-4, "edges": 1.0, "rx0": 1e-3, "ry0": -2e-3, "rz0": 5e-4, "x0": 1e-3}
-    fit = calibrated(array_edges(movers.halbach_planar((*sums, *found))), values, gaps=(0.004, 0.007))
+    fit = calibrated(
+        ends.planar_array_edges(movers.halbach_planar((*sums, *found))), values, gaps=(0.004, 0.007)
+    )
     return over(fit, (0.004, 0.007), reach, reach, 0.005)
 
 

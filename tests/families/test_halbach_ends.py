@@ -29,9 +29,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
 import bench_halbach
 
-from hallsym.families.halbach import PLANAR
+from hallsym.families.halbach import PLANAR, half_turned
 from hallsym.families.halbach.effects import mechanics, transducer
-from hallsym.families.halbach.further import half_turned
 from hallsym.families.halbach.planar import halbach_planar
 
 NINE = columns([(j - 4) * 0.01 for j in range(9)])

@@ -12,7 +12,7 @@ import hallsym
 from hallsym import InputError, Log, Noise
 from hallsym.estimation.decoding import decoding_gain
 from hallsym.families.halbach import PLANAR, finite, planar
-from hallsym.families.halbach.effects import planar_ends
+from hallsym.families.halbach.effects.ends import planar_array_edges
 from hallsym.families.halbach.finite import strength
 from hallsym.families.halbach.layout import Array, Sensor, arrays, columns, sensors
 from hallsym.families.halbach.models import halbach
@@ -166,7 +166,7 @@ def longer_rows():
 @pytest.mark.slow
 def test_rows_longer_than_the_arrays_are_taken_with_their_ends_and_odd_without():
     model = planar.halbach_planar(longer_rows())
-    ended = planar_ends.array_edges(model)
+    ended = planar_array_edges(model)
     turns = np.linspace(0, 1, 400)[:, None] * 2 * np.pi * [3, 4, 5, 7, 6, 5]
     poses = np.sin(turns) * [0.03, 0.03, 1.5e-3, 5e-3, 5e-3, 5e-3] + [0, 0, 5.5e-3, 0, 0, 0]
     p = ended.vector({"a1": 0.62, "a5": -6e-4, "edges": 1.0})
@@ -216,7 +216,7 @@ def test_ends_of_the_arrays_of_a_mover_are_those_of_cuboids():
     wide = tuple(
         Array(p.name, 0.03, p.along, p.centre, p.length_m, 0.5) if isinstance(p, Array) else p for p in layout
     )
-    model = planar_ends.array_edges(planar.halbach_planar(wide))
+    model = planar_array_edges(planar.halbach_planar(wide))
     array = arrays(wide)["X1"]
     parts = magnets(0, array.centre, array.length_m, array.width_m)
     first = sensors(wide)[0]

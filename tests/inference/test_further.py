@@ -7,7 +7,7 @@ import pytest
 from twins import SIGMAS, TRUTH
 
 from hallsym.families import build
-from hallsym.families.halbach.further import half_turned
+from hallsym.families.halbach import half_turned
 from hallsym.families.halbach.layout import arrays
 from hallsym.inference import identify
 from hallsym.model import on_arrays

@@ -3,11 +3,13 @@
 from collections.abc import Mapping
 from typing import Any
 
-from hallsym.families.halbach import models, planar
+from hallsym.families.halbach import links, models, planar
 from hallsym.families.halbach.checks import implausible
 from hallsym.families.halbach.effects import EFFECTS, PLANAR_EFFECTS
-from hallsym.families.halbach.further import FURTHER
-from hallsym.model import Example, Family, PoseMetric
+from hallsym.families.halbach.effects.magnets import HALF_TURN, HEIGHT
+from hallsym.families.halbach.layout import arrays, opposite
+from hallsym.families.mechanisms import P
+from hallsym.model import Example, Family, Further, Model, Parameter, PoseMetric, Signals
 
 SWEEPS = tuple(
     {
@@ -46,6 +48,44 @@ SENSORS: Mapping[str, Mapping[str, Any]] = {
 }
 """Typical of linear Hall sensors that are not sorted (an assumption, no standard): sensitivity, quiescent
 voltage of 2.5 V +- .4 %, placed to .05 mm, and seated to 30 um over a package of 3 mm."""
+
+GAP_M = 1e-3
+"""Between the gaps of the thesis's sweeps, 4.2 and 5.2 mm."""
+MOST_MOVED = 0.05
+"""Bounds of the offsets that a reference has when the mover has been turned [m, rad]."""
+
+
+def half_turned(model: Model) -> Model | None:
+    """Return the model as it reads with the mover turned half round about z in its mount.
+
+    The logged tilt is that of the mount; place and yaw have their own offsets. None where arrays do not come
+    to stand where others stood.
+    """
+    known = arrays(model.layout)
+    try:
+        if len(known) > 1:
+            for array in known.values():
+                opposite(model.layout, array)
+    except LookupError:
+        return None
+    offsets = {f"turned_{c}": c for c in ("x_m", "y_m", "rz_rad") if c in model.pose}
+
+    def step(s: Signals, p: P) -> None:
+        s["turn"] = -1
+        for name, coordinate in offsets.items():
+            links.move(s, coordinate, p[name])
+
+    new = tuple(
+        Parameter(n, 0.0, -MOST_MOVED, MOST_MOVED, c.rpartition("_")[2], f"zero of {c} with the mover turned")
+        for n, c in offsets.items()
+    )
+    return model.with_step("clock", step, effect="half_turned", parameters=new)
+
+
+FURTHER = (
+    Further(f"{HEIGHT.what}, {1e3 * GAP_M:g} mm wider", lambda data: {"z_ref_m": data["z_ref_m"] + GAP_M}),
+    Further(f"{HALF_TURN.what}, the reference zeroed anew in the plane", read=half_turned),
+)
 
 FAMILY = Family(
     name="halbach",

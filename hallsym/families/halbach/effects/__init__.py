@@ -4,15 +4,7 @@ One file per part of the chain; mechanisms that other families share are in `hal
 The same effects serve the model of x and z and that of six coordinates: they act on what `links` passes on.
 """
 
-from hallsym.families.halbach.effects import (
-    electronics,
-    ends,
-    field,
-    magnets,
-    mechanics,
-    planar_ends,
-    transducer,
-)
+from hallsym.families.halbach.effects import electronics, ends, field, magnets, mechanics, transducer
 
 COMMON = (
     transducer.offset_error, transducer.gain_mismatch, mechanics.sensor_position_error,
@@ -32,6 +24,6 @@ EFFECTS = (
 PLANAR_EFFECTS = (
     *COMMON, mechanics.array_geometry_error, magnets.remanence_spread, magnets.magnetisation_angle_error,
     magnets.magnet_map, magnets.forbidden_harmonics, magnets.wavelength_error,
-    magnets.finite_width, planar_ends.array_edges,
+    magnets.finite_width, ends.planar_array_edges,
 )  # fmt: skip
 """Effects of the model of six coordinates."""

@@ -1,6 +1,6 @@
 """Effects of the ends of a Halbach array: its field fades near them, also where sensors are chosen anew."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import casadi as ca
@@ -8,10 +8,11 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.families.halbach import links
-from hallsym.families.halbach.effects.magnets import HEIGHT, LONGER
+from hallsym.families.halbach.effects.magnets import HALF_TURN, HEIGHT, LONGER
 from hallsym.families.halbach.finite import missing
 from hallsym.families.halbach.layout import Array, Layout, sensors
 from hallsym.families.halbach.models import array_of
+from hallsym.families.halbach.planar import ended
 from hallsym.families.mechanisms import P
 from hallsym.model import Model, Parameter, Signals, effect
 from hallsym.model.arguments import one_of
@@ -149,8 +150,7 @@ def array_edges(
             added.append(sum(p["a1"] * c + p["b1"] * q for c, q in pairs) / len(pairs))
         s["field"] = s["field"] + p["edges"] * ca.vertcat(*added)
 
-    new = Parameter("edges", 0.0, -MOST, MOST, "1", "share of what the ends of the stated array take")
-    wide = model.with_step("field", step, effect="array_edges", parameters=(new,))
+    wide = _with_edges(model, step, "share of what the ends of the stated array take")
     if reads == "nearest" or not resolves(array_of(model.layout), model.layout):
         return wide
     return replace(
@@ -171,8 +171,7 @@ def stronger(model: Model, reads: str = "fixed") -> Model:
     def step(s: Signals, p: P) -> None:
         s["field"] = s["field"] + p["edges"] * s["ends"]
 
-    new = Parameter("edges", 0.0, -MOST, MOST, "1", "share by which ends are stronger than those stated")
-    return model.with_step("field", step, effect="array_edges", parameters=(new,))
+    return _with_edges(model, step, "share by which ends are stronger than those stated")
 
 
 def _missing_at(s: Signals, model: Model, k: int, reads: str) -> list[tuple[ca.SX, ca.SX]]:
@@ -210,3 +209,31 @@ def _unknown(model: Model) -> Model:
     new = [Parameter(f"ends_{f}", 0.0, -10.0, 10.0, "V", f"{f} of two waves per wavelength, at any gap")
            for f in ("cos", "sin")]  # fmt: skip
     return model.with_step("field", step, effect="array_edges", parameters=tuple(new))
+
+
+@effect(link="field", name="array_edges", separate=(LONGER, HALF_TURN))
+def planar_array_edges(model: Model) -> Model:
+    """The arrays have ends along their period, near which their field fades and reaches beyond.
+
+    `edges` is 1 for arrays as long as the layout states, and wide; with it sensors may lie beyond the
+    ends along the period, as long as two or more of each array are under it. Of a model that has the ends
+    already it is the share by which they are stronger.
+    """
+    if ended(model.layout):
+        return stronger(model)
+
+    def taken(e: links.Seen) -> ca.SX:  # along the axis of an element, of an amplitude of 1
+        vertical, horizontal = missing(e.array)(e.u, e.height)
+        return e.up * vertical + e.along * horizontal
+
+    def step(s: Signals, p: P) -> None:
+        each = [s.functions["seen"](s, k) for k in range(len(model.channels))]
+        added = [sum(map(taken, seen), ca.SX(0)) / len(seen) for seen in each]
+        s["field"] = s["field"] + p["edges"] * p["a1"] * ca.vertcat(*added)
+
+    return _with_edges(model, step, "share of what the ends of the stated arrays take")
+
+
+def _with_edges(model: Model, step: Callable[[Signals, P], None], meaning: str) -> Model:
+    new = Parameter("edges", 0.0, -MOST, MOST, "1", meaning)
+    return model.with_step("field", step, effect="array_edges", parameters=(new,))
