@@ -15,11 +15,10 @@ from hallsym.cli import progress
 from hallsym.cli.progress import Meter
 from hallsym.errors import InputError, require
 from hallsym.estimation import Fit, load_fit
-from hallsym.families import build, default_model, family_called, model_for
+from hallsym.families import build, default_model, family_called, load_effects, model_for
 from hallsym.families.machine_file import Machine
 from hallsym.families.published import values as published_values
 from hallsym.families.recording import corrected
-from hallsym.families.user import load_effects
 from hallsym.files import json_text
 from hallsym.log import Log, Meta, Noise, check_noise_keys, parse_column_option, read_log
 from hallsym.log.formats import files_of, open_source

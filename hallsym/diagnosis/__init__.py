@@ -25,7 +25,7 @@ from hallsym.diagnosis.record import (
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.validation import QUIET
 from hallsym.diagnosis.words import gap_text, gap_unit, noise_text, place_unit
-from hallsym.families.user import load_effects
+from hallsym.families import load_effects
 
 __all__ = [
     "POLICY", "QUIET", "Band", "Base", "CurveShape", "Diagnosis", "Estimate", "Examined", "FoundEffect",

@@ -158,7 +158,7 @@ def summarise(
     `centre`: (n_variables,) of the features, that of another log to be `joined` with; by default the
     mean of the first block.
 
-    `weigh(block) -> (samples,)`: weights in [0, 1], 1 by default (how outliers are taken out).
+    `weigh(block) -> (samples,)`: weights, 1 by default; 0 for outliers, which are left out.
     `on_rows(samples so far)` is called along the way.
     """
     features, known = find_features(model), [] if centre is None else [centre]
@@ -239,7 +239,7 @@ def _blocks(
     columns[n:] = batch.columns(model.channels)
     features.values(pose, state, at, out=[columns[:n]])
     if weights is not None:
-        columns *= np.sqrt(weights)
+        columns *= weights
     triangles: list[np.ndarray] = []
     for group in batch.groups(len(batch.runs)):  # offsets that fill up a block leave its triangle as it is
         triangles += [*_triangle(np.transpose(batch.layout(*group)(columns), (1, 2, 0)))]
@@ -248,7 +248,7 @@ def _blocks(
     pick, edges = _sparse(batch)
     there = at if at.ndim == 1 else at[:, pick]
     slopes = features.slopes([v[pick] for v in pose], [v[pick] for v in state], there)[0]
-    slopes *= np.sqrt(weight[pick])
+    slopes *= weight[pick]
     starts = batch.edges[:-1]
     weighed = np.add.reduceat(np.vstack([weight, states * weight]), starts, axis=1).T
     looked = np.add.reduceat(weight[pick], edges[:-1])[:, None]

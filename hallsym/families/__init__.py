@@ -1,12 +1,14 @@
 """Families of sensors: one folder each, physics only. Models and effects are looked up here by name."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from pathlib import Path
+from runpy import run_path
 from typing import Any
 
-from hallsym.errors import InputError, require
+from hallsym.errors import InputError, quoted, require, summary
 from hallsym.families import halbach, rotary, stage
 from hallsym.families.faults import FAULTS
-from hallsym.files import MOST_NUMBER
+from hallsym.files import MOST_NUMBER, regular
 from hallsym.log import Meta
 from hallsym.log.columns import is_moving, listed
 from hallsym.log.phase import followed
@@ -160,6 +162,22 @@ def effect_named(
             )
     require(name in known, "Effect", f"one of {', '.join(known)}", name, list(known))
     return known[name]
+
+
+def load_effects(path: str | Path) -> tuple[Effect, ...]:
+    """Read the user's `EFFECTS`, a tuple of functions `Model -> Model` or of `Effect`s, from a Python file.
+
+    Raises `InputError` for a file that cannot be run or names no effects.
+    """
+    path = regular(path, "Effects file")
+    try:
+        listed = run_path(str(path)).get("EFFECTS")
+    except (Exception, SystemExit) as error:
+        what = f"{type(error).__name__}: {summary(error)}"
+        raise InputError(f"Effects file {quoted(path)} cannot be run ({what}); correct it.") from error
+    if not isinstance(listed, Sequence) or not listed or not all(map(callable, listed)):
+        raise InputError(f"Effects file {path} must define EFFECTS, a tuple of functions Model -> Model.")
+    return tuple(map(as_effect, listed))
 
 
 def _checked(model: Model, changes: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, float]]:

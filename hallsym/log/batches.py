@@ -18,7 +18,7 @@ PADDED = 1.25
 """Length that blocks laid side by side may take, over that of the blocks."""
 
 Weigh = Callable[[Block], np.ndarray]
-"""Weight in [0, 1] of each sample of a block."""
+"""Weight of each sample of a block: 1, or 0 for one that is left out."""
 
 
 @dataclass(frozen=True, eq=False)
