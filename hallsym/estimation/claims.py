@@ -623,8 +623,8 @@ def suspects(trials: Trials) -> list[Found]:
     if after.mean(after.left) < EXCESS:
         return [best]
     some = [one for one in _of_some_runs(trials, base) if one.explains]
-    told = trials.fitted([one.correction for one in some]) if some else None  # of one run is nearly of all
-    return some if told and told.mean(told.deviance) < after.mean(after.deviance) else [best]
+    fits = trials.fitted([one.correction for one in some]) if some else None  # of one run is nearly of all
+    return some if fits and fits.mean(fits.deviance) < after.mean(after.deviance) else [best]
 
 
 def _of_some_runs(trials: Trials, base: Tried) -> list[Found]:

@@ -184,9 +184,9 @@ def _from_chord(
         square = sum((c * c for c in chord), arb(0))
         length = float(square.sqrt().abs_upper())
         square = square if length else arb(1)  # both ends are one point
-        for at, apart in zip(_arguments(middle, half), (thin, wide), strict=True):
-            along = sum((c * p for c, p in zip(chord, apart, strict=True)), 0 * apart[0]) / square
-            found.append([p - c * along for c, p in zip(chord, apart, strict=True)])
+        for at, step in zip(_arguments(middle, half), (thin, wide), strict=True):
+            along = sum((c * p for c, p in zip(chord, step, strict=True)), 0 * step[0]) / square
+            found.append([p - c * along for c, p in zip(chord, step, strict=True)])
             places.append((at - left) / (right - left) - along)
         out = max(-places[0][0], places[0][0] - 1, key=float)
     reach = float(sizes(places[:1], places[1:])[0, 1:] @ half ** np.arange(1.0, ORDER + 1))

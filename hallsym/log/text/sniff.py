@@ -300,8 +300,8 @@ def sniffed(
         channels = [split(line, table.delimiter) for line in text.lines(where) if line.strip()][at:]
         if table.is_transposed(channels):
             head = [line.text for line in lines[:at]]
-            turned = "\n".join([*head, *map("\t".join, zip(*channels, strict=True)), ""])
-            found = sniffed(Encoded(turned.encode()), f"{where}, transposed", "\t", decimal, sheet)
+            rewritten = "\n".join([*head, *map("\t".join, zip(*channels, strict=True)), ""])
+            found = sniffed(Encoded(rewritten.encode()), f"{where}, transposed", "\t", decimal, sheet)
             return replace(found, said=f"a channel in each line, transposed: {found.said}", usual=False)
     if table.top < 0 or abs(len(table.names) - table.width) > 1:
         lines = _with_names(lines, table)

@@ -19,7 +19,7 @@ from hallsym.units import UNITS, fitting, readable, reading_unit, typeset
 _SMALL = 5e-5
 """Sources with a smaller share are one line."""
 MANY = 1000
-"""Degrees of freedom above which they are not told: Student's factor is the normal one within .2 %."""
+"""Degrees of freedom above which none are printed: Student's factor is the normal one within .2 %."""
 
 
 def budget_content(budget: Budget, shown: str | None = None, more: Sequence[Block | str] = ()) -> Content:
