@@ -75,15 +75,13 @@ FLOATS = st.floats(-2, 2, width=32)
 @given(FLOATS, st.floats(0, 1), FLOATS, st.floats(0, 1), st.integers(0, 2**31))
 def test_an_enclosure_holds_every_sample_and_what_rounding_makes_of_it(name, x, wide, y, high, seed):
     expression = ca.densify(EXPRESSIONS[name])
-    ends = {
-        "x": Enclosure(np.array([x]), np.array([x + wide])),
-        "y": Enclosure(np.array([y]), np.array([y + high])),
-    }
+    low = np.array([[x], [y]])
+    top = np.add(low, [[wide], [high]]).astype(np.float32).astype(float)  # ends, too, are numbers of float32
+    ends = {c: Enclosure(low[k], top[k]) for k, c in enumerate("xy")}
     (found,) = enclose([EXPRESSIONS[name]], ends, rounds=name in ROUNDED)
     share = np.random.default_rng(seed).random((2, 50))
     share[:, :4] = [[0, 0, 1, 1], [0, 1, 0, 1]]
-    given = (np.array([[x], [y]]) + np.array([[wide], [high]]) * share).astype(np.float32)
-    given = np.clip(given, [[x], [y]], [[x + wide], [y + high]])
+    given = np.clip((low + (top - low) * share).astype(np.float32), low, top)
     with np.errstate(all="ignore"):
         (exact,) = on_arrays(ca.Function("f", [X, Y], [expression]))(*([row.astype(float)] for row in given))
     assert (exact[~np.isnan(exact)] >= found.low).all()
