@@ -61,7 +61,7 @@ def bound(
     best = max(parts, key=lambda part: part.lower)
     tried = len(parts)
     heapq.heapify(parts)
-    least = EQUAL * float(np.abs(curve.form.control).max())
+    least = EQUAL * float(np.abs(curve.form.evaluate(edges)).max())
     while parts[0].upper > max(best.lower * (1 + rel), least):
         worst = heapq.heappop(parts)
         cuts = np.linspace(worst.low, worst.high, 4)

@@ -65,21 +65,22 @@ def worst_text(worst: Worst) -> str:
 POINTS = 240
 """Points of a path that are drawn."""
 CIRCLES = 60
-"""Of a recorded path, so many points are drawn as circles."""
+"""Of the other campaign's path, so many points are drawn as circles."""
 PLANNED, RECORDED = replace(p.AFTER, size=3.7), p.Look(p.BEFORE.color, marker="o", size=3.7)
 
 
-def coverage(plan: Plan, log: Log | None = None) -> p.Picture:
+def coverage(plan: Plan, other: Campaign | Log | None = None, other_name: str = "recorded") -> p.Picture:
     """Return vertical settings (area: number of runs) and paths of the motion, planned and recorded.
 
+    `other`: a campaign or a log to draw beside the plan, called `other_name`.
     The path of a single pose coordinate is drawn over the run. A row shows three panels at most.
     """
     model = plan.study.model
     n, columns = len(model.pose), (*model.pose, *model.state)
     planned = list(_paths(plan.campaign, columns))
-    shown = [] if log is None else list(_paths(log, columns, model.references))
+    shown = [] if other is None else list(_paths(other, columns, model.references))
     drawn = [(planned, PLANNED, f"planned, {len(planned)} runs")]
-    drawn += [(shown, RECORDED, f"recorded, {len(shown)} runs")] if shown else []
+    drawn += [(shown, RECORDED, f"{other_name}, {len(shown)} runs")] if shown else []
     pairs = list(combinations(range(n), 2)) or [(len(columns), 0)]
     pairs = [*combinations(range(n, len(columns)), 2), *pairs]
     panels = []
