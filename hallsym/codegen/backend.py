@@ -544,7 +544,7 @@ class Backend(ABC):
         return [self._literal(own(end)) for end in self.accepted[entry.name]]
 
     def faults(self) -> Iterator[tuple[list[str], str]]:
-        """Yield changes of a table in C, and what `decoupler_check()` finds then, apart by blanks.
+        """Yield changes of a table in C, and what `decoupler_check()` finds then, separated by blanks.
 
         Each table is sealed with new CRC, so that the test behind the CRC has to find the fault.
         """

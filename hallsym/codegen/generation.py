@@ -292,7 +292,7 @@ def notes_of(fit: Fit) -> tuple[str, ...]:
     notes = [f"{amiss}: the decoder inherits that error."] if amiss else []
     if fit.structural:
         notes.append(
-            f"No recording tells {', '.join(fit.structural)} apart; only the combinations that readings "
+            f"No recording distinguishes {', '.join(fit.structural)}; only the combinations that readings "
             "depend on are used, and those are determined."
         )
     if fit.undetermined_by_log:

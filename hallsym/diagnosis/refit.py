@@ -17,9 +17,8 @@ from hallsym.estimation.optimum import DROP, PASSES
 from hallsym.model import Model, Variant
 from solvers import bounded_step, gauss_newton
 
-OCTAVES, FEWEST = 24, 30
-"""Octaves of frequency in which noise has a variance of its own, and fewest values for one: it is known to a
-quarter then."""
+FEWEST = 30
+"""Fewest values of an octave of frequency in which noise has a variance of its own, known to a quarter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +146,8 @@ class Refitted:
         base, work, t = self.base, Columns(self.base), self.tangents
         fitted = {run for unit in self.fitted for run in t.runs[unit]}
         follow = dict(zip(t.order, t.follow, strict=True))
-        sums, counts = np.zeros((OCTAVES, work.n + 1, work.n + 1)), np.zeros(OCTAVES)
+        octaves = int(np.log2(base.log.rows)) + 2  # of the longest run that may be, and the mean
+        sums, counts = np.zeros((octaves, work.n + 1, work.n + 1)), np.zeros(octaves)
         for batch, weights in work.weighed():
             columns = np.tensordot(base.whiten, work.columns(batch, weights)[0], axes=(1, 1))
             for run, at in batch.parts():
@@ -159,7 +159,7 @@ class Refitted:
                 each = np.full(n // 2 + 1, 2.0)  # a frequency and its negative
                 each[n // 2] = 1.0 + (n % 2)
                 each[0] = 1.0
-                octave = np.log2(n / np.maximum(np.arange(n // 2 + 1), 0.5)).astype(int).clip(max=OCTAVES - 1)
+                octave = np.log2(n / np.maximum(np.arange(n // 2 + 1), 0.5)).astype(int)
                 for o in np.unique(octave):
                     own = waves[:, :, octave == o] * np.sqrt(each[octave == o])
                     flat = own.swapaxes(0, 1).reshape(work.n + 1, -1)

@@ -431,13 +431,13 @@ class Trials:
         """Judge some runs without mistakes at parameters (n,), as one where they are `merged`."""
         try:
             log = self.log(corrections, runs, merged=merged)
-            std, rounds = log.noise.std, SETTLING if self.model.offsets else 1
+            std = log.noise.std
             if exact(self.model):
                 cost = cost_of(summarise(log, self.model), std)
             elif self.runs_merge:
                 cost = cost_of(summarise_at(log, self.model, p, {}, std), std)
             else:
-                cost = cost_near(log, self.model, p, std, rounds=rounds)
+                cost = cost_near(log, self.model, p, std, rounds=SETTLING if self.model.offsets else 1)
             return Tried(tuple(corrections), cost, p, self.model, _within(log, self.model), log)
         except (InputError, np.linalg.LinAlgError):
             return None

@@ -180,8 +180,8 @@ def _recording(log: Log, model: Model, asked: Asked, began: float) -> Fit:
     if doubted:  # a fault that leaves samples out may be part of a larger one: fit all samples
         whole, _ = checked(log, model, asked, result.corrections, tuple(doubted))
         mistakes = mistakes_of(whole, model)
-        if not any(one.explains for one in mistakes) and all(n.correction for n in faults):
-            # else what left samples out is not known
+        known = all(n.correction for n in faults)  # what left samples out
+        if known and not any(one.explains for one in mistakes):
             mistakes = claims_of(result, given)
         return _claimed(result, mistakes, asked)
     return _claimed(result, claims_of(result, given), asked)

@@ -86,7 +86,7 @@ def _waves(found: Arrays, aim: float) -> tuple[Wave, ...]:
         heights = group.phasor.pose(u)[1]
         if not np.isfinite(heights).all():
             raise InputError(
-                "Tilt brings an array of the box so near that its harmonics cannot be told apart; give a "
+                "Tilt brings an array of the box so near that its harmonics cannot be distinguished; give a "
                 "smaller range of rotations or heights with --range."
             )
         out.append(wave_steps.wave_of(group.phasor, (float(heights.min()), float(heights.max())), aim))

@@ -98,7 +98,7 @@ def stuck(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
         lasts, first = [one.stop - one.start for one in found], found[0]
         where = f"{counted(len(found), 'stretch')}, {sum(lasts) / seen.rows:.1%}"
         runs = tuple(dict.fromkeys(one.run for one in found))
-        # a column that is late repeats its value at one end of a run; the fit tells the two apart
+        # a column that is late repeats its value at one end of a run; the fit distinguishes the two
         at_neither = (one for one in found if (one.start > 0) == (one.stop < seen.samples[one.run]))
         part = next(at_neither, None)  # or at both
         how = (

@@ -108,7 +108,7 @@ LABELS = Spelling(
     "names before numbers", re.compile(r"(?:(?<=[;,\t| ])|^)([^\W\d]\w*) ?[:=] ?(?=[-+.]?\d)", re.M), ""
 )
 MIXED = Spelling("blanks and commas between names", re.compile(r"(?<=[^\s,]) (?=\w+=|\d+$)", re.M), ",")
-"""A blank sets tags and fields apart, and the time behind them: `rig,run=3 hall_a=1.5,z=2i 1772400000`."""
+"""A blank separates tags, fields and the time behind them: `rig,run=3 hall_a=1.5,z=2i 1772400000`."""
 ARRIVED = Spelling("times of arrival before lines", re.compile(r"^\d+:\d+:\d+[.,]\d+ -> ?", re.M), "")
 SPELLINGS = (
     ARRIVED,
