@@ -22,6 +22,7 @@ from hallsym.model import Model
 from hallsym.power import REPEATS, detection_power
 from hallsym.report.content import document
 from hallsym.report.data.gather import gather
+from hallsym.report.panels import by_groups
 from hallsym.report.results.diagnosis import diagnosis_content
 
 EVERY = "all"
@@ -101,6 +102,7 @@ def _page(options: Namespace, seen: Examined) -> str:
     content = diagnosis_content(
         seen.diagnosis,
         maps=shown.maps,
+        groups=by_groups(first, shown),
         series=shown.series,
         fit=first,
         command=_typed(options, first),

@@ -10,7 +10,7 @@ import numpy as np
 from hallsym.diagnosis.normal_equations import Columns, NormalEquations, normal_equations
 from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.scores import bic
-from hallsym.estimation.covariance import AT_BOUND, RunScatter
+from hallsym.estimation.covariance import RunScatter, pressed
 from hallsym.estimation.factors import SINGULAR, pseudo_inverse, unit_scale
 from hallsym.estimation.identifiable import gauged, scales
 from hallsym.estimation.optimum import DROP, PASSES
@@ -78,12 +78,7 @@ class Refitted:
 
     def at_bound(self) -> tuple[int, ...]:
         """Index of the free parameters that ended at one of their bounds."""
-        lower, upper = self.base.model.bounds
-        return tuple(
-            k
-            for k in self.base.free
-            if min(self.base.p[k] - lower[k], upper[k] - self.base.p[k]) <= AT_BOUND * (upper[k] - lower[k])
-        )
+        return tuple(k for k in pressed(self.base.model.bounds, self.base.p) if k in self.base.free)
 
     @property
     def products(self) -> np.ndarray:

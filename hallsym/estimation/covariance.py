@@ -175,7 +175,7 @@ PLACES = 16_384
 OVERSTATED = 0.1
 """Cost per degree of freedom below which noise was overstated or there is none (a plan): it is not used."""
 AT_BOUND = 1e-6
-"""Part of the width of its bounds within which a parameter counts as at one of them."""
+"""Part of a bound, or of the width of the bounds, within which a parameter counts as at it (`pressed`)."""
 BY_RUNS = "runs as blocks"
 """Method of a covariance that comes from the scatter between runs."""
 
@@ -375,12 +375,20 @@ def _estimate(
 
 
 def _at_bound(bounds: tuple[np.ndarray, np.ndarray], p: np.ndarray, found: Determination) -> tuple[int, ...]:
-    lower, upper = bounds
-    return tuple(
-        k
-        for k in range(len(p))
-        if k not in found.not_free and min(p[k] - lower[k], upper[k] - p[k]) <= AT_BOUND * found.scale[k]
-    )
+    return tuple(k for k in pressed(bounds, p) if k not in found.not_free)
+
+
+def pressed(bounds: tuple[np.ndarray, np.ndarray], p: np.ndarray) -> tuple[int, ...]:
+    """Return the index of each parameter at one of its bounds.
+
+    A distance counts beside the bound itself where that is less than the range: .9 is not at the end of a
+    range from 1e-6 to 1e6.
+    """
+    width = bounds[1] - bounds[0]
+    sizes = [np.where(end == 0, width, np.minimum(np.abs(end), width)) for end in bounds]
+    ends = zip(bounds, sizes, strict=True)
+    near = [np.isfinite(end) & (np.abs(p - end) <= AT_BOUND * size) for end, size in ends]
+    return tuple(np.flatnonzero(near[0] | near[1]).tolist())
 
 
 def _loose(names: tuple[str, ...], std: np.ndarray, found: Determination) -> np.ndarray:

@@ -273,8 +273,8 @@ def sentence_of(found: SelfCalibration) -> str:
         worst = motion[0]
         more = f" (and of {counted(len(motion) - 1, 'wave')} more)" if len(motion) > 1 else ""
         said = (
-            f"A table from constant speed would have learned {electrical(found, worst.motion):.2f} +- "
-            f"{electrical(found, worst.motion_std):.2f} electrical deg of the motion at wave "
+            f"A table from constant speed would have learned {electrical(found, worst.motion):.3f} +- "
+            f"{electrical(found, worst.motion_std):.3f} electrical deg of the motion at wave "
             f"{worst.per_turn} per turn"
             f"{more} as the sensor's; this table leaves it out."
         )

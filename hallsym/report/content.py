@@ -20,6 +20,9 @@ from hallsym.report.picture import Panel, Picture
 from hallsym.report.tables import grid
 from hallsym.report.words import micro, minus
 
+PHONE = 44
+"""Characters of a table side by side on a phone of 390 px."""
+
 
 @dataclass(frozen=True)
 class Words:
@@ -78,7 +81,9 @@ class Table:
     @property
     def many(self) -> bool:
         """Whether a phone is too narrow for the columns; it shows each row as a list."""
-        return len(self.head) > 4
+        columns = zip(self.head, *self.rows, strict=True)
+        words = ([w for cell in column for w in str(cell or "").split()] for column in columns)
+        return sum(1 + max(map(len, column), default=0) for column in words) > PHONE
 
     @property
     def text(self) -> str:
@@ -154,7 +159,6 @@ class Content:
     columns: Mapping[str, Sequence[Any]] | None = None
     picture: Callable[[Any], Picture] | None = None
     """Of the result; of a log where it is given one."""
-    footer: str = ""
     seconds: float | None = None
     """Computing time, for a terminal only, so that a page depends on the data alone."""
 

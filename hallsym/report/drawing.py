@@ -176,13 +176,13 @@ def _names(ax: Axes, which: Any, names: Sequence[str], font: float) -> None:
 def _numbers(ax: Axes, which: str, axis: p.Axis) -> None:
     own, (low, high) = getattr(ax, f"{which}axis"), getattr(ax, f"get_{which}lim")()
     own.set_major_formatter(FuncFormatter(lambda value, _: minus(number(value, 6))))
+    own.set_major_locator(MaxNLocator(axis.most, steps=[1, 2, 5, 10]))
     if axis.log:
-        decades = abs(np.log10(high / low))
-        subs = (1, 2, 5) if decades < 1.4 else (1, 3) if decades < 2.6 else (1,)
-        own.set_major_locator(LogLocator(subs=subs, numticks=axis.most + 2))
         own.set_minor_locator(NullLocator())
-    else:
-        own.set_major_locator(MaxNLocator(axis.most, steps=[1, 2, 5, 10]))
+        decades = abs(np.log10(high / low))
+        if decades > 0.7:  # which hold two of 1, 2, 5
+            subs = (1, 2, 5) if decades < 1.4 else (1, 3) if decades < 2.6 else (1,)
+            own.set_major_locator(LogLocator(subs=subs, numticks=axis.most + 2))
 
 
 # -- files: a folder made if missing, written atomically, the same file for the same picture ---------------
@@ -247,7 +247,8 @@ def svg(panel: p.Panel, width: float, *, fixed: bool = False) -> Markup:
             ax.set_position(((left + more) / width, place[1], place[2] - more / width, place[3]))
         drawn = _Svg(width, height, {} if fixed else variables())
         figure.draw(drawn)
-    box, says = f"0 0 {_px(width)} {_px(height)}", escape(printable(panel.says))
+    says = panel.says or " over ".join(filter(None, (panel.title or panel.y.title, panel.x.title)))
+    box, says = f"0 0 {_px(width)} {_px(height)}", escape(printable(says))
     return Markup(f'<svg viewBox="{box}" role="img" aria-label="{says}">{"".join(drawn.parts)}</svg>')
 
 

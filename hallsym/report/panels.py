@@ -1,20 +1,24 @@
-"""Panels of errors: along a coordinate, by group of runs, over two coordinates, over time."""
+"""Pictures of errors: along a coordinate, over two coordinates, by group of runs, over time."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from hallsym.estimation import Fit
+from hallsym.estimation.decoding import ErrorTable
 from hallsym.report import picture as p
-from hallsym.report.data.gather import Cells, RunSeries
+from hallsym.report.data.gather import Cells, Gathered, RunSeries
+from hallsym.report.data.survey import Group, by_run, held_out, settings
 from hallsym.report.words import largest, minus, name, number, scale
 
 Sizes = Mapping[str, Mapping[str, float]]
 """`{"rmse": {x_m: ..}, "peak": {..}}`."""
 
-# -- errors by cell: along a coordinate, by group of runs, over two coordinates --------------------------
+# -- errors by cell: along a coordinate, over two coordinates -------------------------------------------
 
 
 def profile(both: Sequence[Cells], output: int, floor: float = 0.0) -> p.Panel:
@@ -22,55 +26,48 @@ def profile(both: Sequence[Cells], output: int, floor: float = 0.0) -> p.Panel:
 
     `both`: the cells of one version, or of two, the second drawn over the first.
     """
-    cells, names = both[0], both[0].labels
-    what, n = name(cells.pose[output]), len(cells.count)
+    cells = both[0]
+    what = name(cells.pose[output])
     reach = max(floor, *(largest(v[output]) for c in both for v in (c.rms, c.mean)))
     factor, unit = scale(cells.pose[output], reach, cells.periodic)
-    half = min(0.4, 0.04 * n)  # few bars are no broader than many
-    middle = np.arange(n)
-    left, right = (middle - half, middle + half) if names else (cells.edges[:-1], cells.edges[1:])
+    left, right = cells.edges[:-1], cells.edges[1:]
     bands: list[p.Layer] = []
     means: list[p.Layer] = []
     said: list[str] = []
     for c, band, look in zip(both, p.BANDS[-len(both) :], p.MEDIANS[-len(both) :], strict=True):
         rms, mean = factor * c.rms[output], factor * c.mean[output]
         said = [
-            f"{c.labels[k] if names else _span(c.edges, k)}: mean {minus(number(mean[k]))}, "
-            f"rms {number(rms[k])} {unit}, {c.count[k]:d} samples"
-            for k in range(n)
+            f"{_span(c.edges, k)}: mean {minus(number(mean[k]))}, rms {number(rms[k])} {unit}, {n:d} samples"
+            for k, n in enumerate(c.count)
         ]
         bands.append(p.boxes(left, right, -rms, rms, band, said=said))
-        if names:  # a stroke for each
-            x, y = np.column_stack([left, right, np.full(n, np.nan)]), np.repeat(mean, 3)
-        else:
-            x, y = 0.5 * (np.asarray(left) + right), mean
-        means.append(p.line(np.ravel(x), y, look))
-    marks = len(cells.marked)
-    high = (1.25 if marks else 1.08) * factor * reach or 1.0
+        means.append(p.line(0.5 * (np.asarray(left) + right), mean, look))
+    high = 1.08 * factor * reach or 1.0
     return p.Panel(
-        p.Axis("", -0.6, n - 0.4, names=names) if names else p.Axis(cells.by, left[0], right[-1]),
+        p.Axis(cells.by, left[0], right[-1]),
         p.Axis(low=-high, high=high),
-        [
-            *bands,
-            *means,
-            *(p.level(factor * v) for v in (floor, -floor) if v),
-            p.text(["h"] * marks, cells.marked, [0.92 * high] * marks, "center"),
-        ],
+        [*bands, *(p.level(factor * v) for v in (floor, -floor) if v), *means],
         f"{what} [{unit}]",
         f"{what} by {cells.by}: largest rms {said[int(np.argmax(np.nan_to_num(both[-1].rms[output])))]}",
     )
+
+
+FEWEST = 10
+"""Samples of a cell of a map at least, where most cells have as many: their rms is known to a fourth."""
 
 
 def plane(cells: Cells, both: Sequence[Cells], what: str, output: int, floor: float) -> p.Panel:
     """Return one output over two coordinates, as `tiles` draws it.
 
     `what`: mean or rms. `both`: all versions of the map; the fullest colour is their largest value, or the
-    noise floor where that is more, so that mere noise stays pale.
+    noise floor where that is more, so that mere noise stays pale. A cell of few samples is left out.
     """
-    quantity, most = name(cells.pose[output]), max(floor, *(largest(m.rms[output]) for m in both))
+    enough = cells.count >= min(FEWEST, np.median(cells.count[cells.count > 0]))
+    quantity = name(cells.pose[output])
+    most = max(floor, *(largest(m.rms[output][enough]) for m in both))
     factor, unit = scale(cells.pose[output], most, cells.periodic)
-    values, n = factor * getattr(cells, what)[output], len(cells.edges) - 1
-    full = factor * max(floor, *(largest(getattr(m, what)[output]) for m in both)) or 1e-12
+    values, n = np.where(enough, factor * getattr(cells, what)[output], np.nan), len(cells.edges) - 1
+    full = factor * max(floor, *(largest(getattr(m, what)[output][enough]) for m in both)) or 1e-12
     x, y = cells.edges, cells.across
     said = [
         f"{_span(x, k % n)}, {_span(y, k // n)}: {minus(number(v))} {unit}, {count} samples"
@@ -80,7 +77,7 @@ def plane(cells: Cells, both: Sequence[Cells], what: str, output: int, floor: fl
         p.Axis(cells.by, x[0], x[-1]),
         p.Axis(cells.up, y[0], y[-1]),
         p.tiles(x, y, values.reshape(-1, n), full, said),
-        f"{what} {quantity}, full: {number(full)} {unit}",
+        f"{quantity}, full: {number(full)} {unit}",
         f"{what} error of {quantity} over {cells.by} and {cells.up}: "
         f"{number(largest(values))} {unit} at most",
         height=172.0,
@@ -92,12 +89,60 @@ def _span(edges: Sequence[float] | np.ndarray, k: int) -> str:
     return f"{minus(number(edges[k]))} to {minus(number(edges[k + 1]))}"
 
 
+# -- errors by group of runs -----------------------------------------------------------------------------
+
+
+def by_group(fit: Fit, groups: Sequence[Group], title: str, tables: Mapping[str, ErrorTable]) -> p.Picture:
+    """Return the rmse of each output by group of runs on a logarithmic axis, with the noise floor.
+
+    `tables`: of one version of the model, or of two; of the last one holdout runs have a mark of their own.
+    """
+    every = [runs for _, runs in groups]
+    used, holdout = ([[r for r in runs if (r in held_out(fit)) == side] for runs in every] for side in (0, 1))
+    series = [(label, table, p.BEFORE, every) for label, table in tables.items()]
+    last, table, *_ = series.pop()
+    series += [(last, table, p.AFTER, used), (f"{last}, holdout runs", table, p.HOLDOUT, holdout)]
+    series = [one for one in series if any(one[-1])]
+    place, panels = np.arange(len(groups)), []
+    for k, column in enumerate(fit.model.pose):
+        values = np.array([[_rmse(table, runs, k) for runs in sets] for _, table, _, sets in series])
+        floor = float(fit.noise_floor.get(column, 0.0))
+        factor, unit = scale(column, largest(values), fit.model.period)
+        layers: list[p.Layer] = []
+        for (label, _, look, _), y in zip(series, values, strict=True):
+            aside = np.array([0.25 if look is p.HOLDOUT and runs else 0.0 for runs in used])
+            layers.append(p.points(place + aside, factor * y, replace(look, size=4.2), label))
+        layers += [p.level(factor * floor, label="noise floor")] if floor > 0 else []
+        # a stroke from the least to the largest of each group
+        reach = np.array([np.fmin.reduce(values), np.fmax.reduce(values), np.full(len(groups), np.nan)])
+        layers.append(p.line(np.repeat(place, 3), factor * reach.T.ravel(), p.Look(p.FAINT, width=0.6)))
+        x = p.Axis(title, -0.7, len(groups) - 0.3, names=[label for label, _ in groups])
+        up = p.Axis(f"rmse {name(column)} [{unit}]", log=bool((values > 0).any()))
+        says = (
+            f"{up.title} by {title.partition(' (')[0]}: {last} up to {number(factor * largest(values[-1]))}"
+        )
+        panels.append(p.Panel(x, up, layers, says=says, height=97.0))
+    return p.Picture(panels, across=1)
+
+
+def by_groups(fit: Fit, found: Gathered) -> list[p.Picture]:
+    """Return the rmse by vertical setting, where there are some, and by run."""
+    both = [settings(fit, found.survey), (by_run(found.survey), "run")]
+    groups = {title: own for own, title in both if len(own) > 1}
+    return [by_group(fit, own, title, found.tables) for title, own in groups.items()]
+
+
+def _rmse(table: ErrorTable, runs: Sequence[int], k: int) -> float:
+    found = table.over(runs) if runs else None
+    return found["rmse"][table.pose[k]] if found else float("nan")
+
+
 # -- errors of a run over time, in whose place a script shows other runs ---------------------------------
 
 
 ACROSS, UP = 20_000, 5_000
 """A path's own units: time runs from 0 to `ACROSS`, values from -`UP` to `UP`."""
-FEWEST = 200
+NARROWEST = 200
 """Columns that are shown at least: fewer would pass for samples."""
 
 
@@ -167,10 +212,10 @@ def _run(series: RunSeries, reach: Sequence[float], scales: Sequence[tuple[float
     (start, end), per = _span_of(series), series.per_column
     return {
         "title": series.title,
-        "note": f"a column of a line holds {per} samples, least to greatest" if per > 1 else "",
+        "note": f"each column of the line shows least and greatest of {per} samples" if per > 1 else "",
         "from": float(f"{start:.9g}"),
         "to": float(f"{end:.9g}"),
-        "least": round(min(ACROSS, ACROSS * (FEWEST if per > 1 else 4) / len(series.time))),
+        "least": round(min(ACROSS, ACROSS * (NARROWEST if per > 1 else 4) / len(series.time))),
         "reach": [float(f"{f * r:.6g}") for r, (f, _) in zip(reach, scales, strict=True)],
         "lines": [
             [

@@ -50,6 +50,7 @@ def test_offsets_amplitudes_and_places_come_back(pairs, heads, unit) -> None:
         assert abs(away) * pairs < 5e-4
     assert fit.goodness is not None
     assert not fit.goodness.sentence
+    assert fit.at_bound == ()  # .9 V of a range from 1e-6 to 1e6
 
 
 def test_a_table_over_the_turn_is_read_at_the_bent_angle_and_fitted_with_a_reference() -> None:

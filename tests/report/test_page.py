@@ -18,10 +18,10 @@ from hallsym.estimation import Fit, fit
 from hallsym.estimation.prediction import Decoder
 from hallsym.log import Log, read_log
 from hallsym.report.content import document
-from hallsym.report.data.gather import gather
+from hallsym.report.data.gather import Cells, gather
 from hallsym.report.data.survey import worst_first
-from hallsym.report.drawing import svg
-from hallsym.report.panels import ACROSS, UP, script_data
+from hallsym.report.drawing import draw, svg
+from hallsym.report.panels import ACROSS, UP, by_groups, plane, script_data
 from hallsym.report.picture import Axis, Panel
 from hallsym.report.results import shared
 from hallsym.report.results.fit import page_content
@@ -221,22 +221,19 @@ def test_maps_count_every_sample_and_agree_with_the_error_table(log: Log, fitted
     found = gather(log, fitted)
     (maps,) = found.maps.values()
     assert len([m for m in maps if m.up]) == 1
-    titles = [m.by for m in maps if not m.up]
-    assert titles[:3] == ["x [µm]", "y [µm]", "Rz [µrad]"]
-    assert titles[3].startswith("vertical setting")
-    assert titles[4] == "run"
+    assert [m.by for m in maps if not m.up] == ["x [µm]", "y [µm]", "Rz [µrad]"]
     for m in maps:
         assert m.count.sum() == log.rows
         squares = np.nansum(m.rms**2 * m.count, axis=1)
         np.testing.assert_allclose(squares, found.survey.fitted.squares.sum(axis=0), rtol=1e-9)
-    run = maps[-1]
-    assert [int(run.labels[k]) for k in run.marked] == list(HOLDOUT)
+    (table,) = found.tables.values()
     (block,) = (b for b in log.blocks() if b.run == 2)
     decode = Decoder(fitted)
     zeros = decode.offsets(2, np.array([block.data[c][0] for c in fitted.model.state]))
     error = decode.pose(block, zeros) - np.array([block.data[c] for c in fitted.model.references])
-    np.testing.assert_allclose(run.rms[:, 2], np.sqrt((error**2).mean(axis=1)), rtol=1e-9)
-    np.testing.assert_allclose(run.mean[:, 2], error.mean(axis=1), rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(table.squares[2], (error**2).sum(axis=1), rtol=1e-9)
+    np.testing.assert_allclose(table.peak[2], np.abs(error).max(axis=1), rtol=1e-9)
+    assert [a.get_xlabel() for a in draw(by_groups(fitted, found)[-1]).axes] == ["", "", "run"]
 
 
 def test_gathering_does_not_depend_on_blocks(log: Log, fitted: Fit):
@@ -315,11 +312,21 @@ def test_a_series_of_one_sample_or_none_kept_is_drawn():
     assert not shared.runs_section([]).content
 
 
+def test_a_cell_of_few_samples_decides_no_map():
+    counts, sizes = np.array([900, 800, 3]), np.array([[1e-6, 2e-6, 9e-6]])
+    cells = Cells(
+        "x [µm]", ("x_m",), counts, sizes, sizes, np.arange(4.0), up="y [µm]", across=np.arange(2.0)
+    )
+    assert plane(cells, [cells], "mean", 0, 0.0).title == "x, full: 2 µm"
+    sparse = replace(cells, count=np.array([1, 1, 1]))
+    assert plane(sparse, [sparse], "rms", 0, 0.0).title == "x, full: 9 µm"
+
+
 # -- axes ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("log", [False, True])
-@pytest.mark.parametrize(("low", "high"), [(0.0123, 0.3), (2.0, 5e3), (1e-6, 70.0), (93.0, 1e7)])
+@pytest.mark.parametrize(("low", "high"), [(0.0123, 0.3), (1.19, 4.8), (2.0, 5e3), (1e-6, 70.0), (93.0, 1e7)])
 def test_numbers_of_an_axis_are_few_round_inside_and_rising(low, high, log):
     panel = Panel(Axis(low=low, high=high, log=log), Axis(names=()), [])
     words = re.findall(r"<text[^>]*>([^<]*)</text>", svg(panel, 240.0).replace("\N{MINUS SIGN}", "-"))

@@ -234,7 +234,7 @@ def test_maps_and_series_are_optional_and_shown():
     assert "nan" not in page.partition("<body>")[2].partition("<script>")[0]
 
 
-def test_pictures_of_many_outputs_and_all_but_the_worst_of_many_sensors_are_folded():
+def test_all_but_the_first_picture_and_the_worst_of_many_sensors_are_folded():
     record, pose = a_record(), [*POSE, "z_m"]
     noise = {f"hall_{k}_v": {"fitted": side((1 + 0.01 * k) * 1e-3, 1e-3, None)} for k in range(20)}
     record["size"]["sensors"] = noise
@@ -245,7 +245,7 @@ def test_pictures_of_many_outputs_and_all_but_the_worst_of_many_sensors_are_fold
     page = document(said)
     folded = re.findall("<details>.*?</details>", page, re.S)
     summaries = [re.search("<summary>(.*?)</summary>", part)[1] for part in folded]
-    assert summaries == ["and 14 sensors whose error is nearer to the noise", "over x [µm]", "over y [µm]"]
+    assert summaries == ["and 14 sensors whose error is nearer to the noise", "over y [µm]"]
     assert [f"Hall {k} [" in folded[0] for k in (13, 14)] == [True, False]
     assert summaries[0] in printed(said)
     assert "Hall 13 " not in printed(said)

@@ -50,8 +50,8 @@ def test_a_table_of_knots_is_split_into_encoder_reference_and_noise():
     assert "gain_mismatch" in found.elsewhere[2]
     text = fit.summary()
     assert "pattern of the reference, no error of the encoder: 50: 0.05" in text
-    assert "mounted anew, at best: no 1 and 2 per turn" in text
-    assert "2 per turn may come from gain_mismatch" in text
+    assert "mounted anew, at best without waves 1 and 2 per turn" in text
+    assert "2 per turn may also come from gain_mismatch" in text
 
 
 def half_supply(centre: float):
@@ -121,7 +121,7 @@ def test_evaluate_says_what_the_encoder_of_the_next_log_makes():
     fit, _ = of(table({1: 0.3, 2: 0.4}))
     found = hallsym.evaluate(fit, hallsym.read_log(table({1: 0.1, 2: 0.4}, seed=5)))
     text = found.summary()
-    assert "waves per turn of the encoder: 1: 0.099, 2: 0.4 deg" in text
+    assert "wave per turn of the encoder: 1: 0.099, 2: 0.4 deg" in text
     calibrated = next(line for line in text.splitlines() if line.startswith("with this calibration"))
     assert float(calibrated.split()[-1]) == pytest.approx(0.2, abs=0.01)  # the mounting has changed
 

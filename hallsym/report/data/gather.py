@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hallsym.estimation import Fit
-from hallsym.estimation.decoding import columns_of
+from hallsym.estimation.decoding import ErrorTable, columns_of
 from hallsym.log import Block, Log, extended
 from hallsym.log.batches import SIZE, Weigh
 from hallsym.report.data.survey import (
     FITTED,
     NOMINAL,
-    Group,
     Survey,
     Trace,
     decoded,
@@ -39,10 +38,9 @@ if TYPE_CHECKING:
 class Cells:
     """Errors of the decoded pose by cell, in SI.
 
-    `by`: what the cells are along, with the unit of `edges`. `mean`, `rms`: (n_pose, cells), nan in an
-    empty cell; `count`: (cells,). Cells have `edges` (cells + 1,) or, where they are no numbers, `labels`;
-    `marked` are the holdout. Over two coordinates `across` holds the edges of the second, `up` its name, and
-    cell `i + columns * j` lies at column i, row j. `periodic`: coordinates that go round, see
+    `by`: what the cells are along, with the unit of `edges` (cells + 1,). `mean`, `rms`: (n_pose, cells), nan
+    in an empty cell; `count`: (cells,). Over two coordinates `across` holds the edges of the second, `up` its
+    name, and cell `i + columns * j` lies at column i, row j. `periodic`: coordinates that go round, see
     `hallsym.units.readable`.
     """
 
@@ -51,9 +49,7 @@ class Cells:
     count: np.ndarray
     mean: np.ndarray
     rms: np.ndarray
-    edges: Sequence[float] | np.ndarray = ()
-    labels: tuple[str, ...] = ()
-    marked: tuple[int, ...] = ()
+    edges: Sequence[float] | np.ndarray
     up: str = ""
     across: Sequence[float] | np.ndarray = ()
     periodic: Collection[str] | None = None
@@ -124,8 +120,8 @@ def series_of(
 # -- one pass: maps over the coordinates that matter, and series -----------------------------------------
 
 
-ALONG, PLANE, MOST = 15, 11, 60
-"""Cells along a coordinate, along each side of a map, and of runs (neighbours are taken together).
+ALONG, PLANE = 15, 11
+"""Cells along a coordinate, and along each side of a map.
 
 Odd, so that an axis at rest in the middle of its travel lies inside a cell: on an edge, the noise of its own
 reference would decide the cell, and each side would show a mean that is not there.
@@ -139,12 +135,13 @@ RUNS = 20
 class Gathered:
     """What a page shows of a log: `survey`, maps and series of the errors of decoded poses.
 
-    `maps`: of one or two versions of the model over the first two coordinates that move, along each, by
-    setting, by run. `series`: worst first.
+    Of one or two versions of the model: `maps` over the first two coordinates that move, and along each, and
+    `tables` of the errors by run. `series`: worst first.
     """
 
     survey: Survey
     maps: Mapping[str, tuple[Cells, ...]]
+    tables: Mapping[str, ErrorTable]
     series: tuple[RunSeries, ...]
 
 
@@ -194,31 +191,41 @@ def gather(
     found = {key: _read(blocks, fit, survey, places, chosen) for key, blocks in passes.items()}
     series, pose, period = [], fit.model.pose, fit.model.period
     for run in chosen:
-        traces = {key: made[run] for key, (_, made) in found.items()}
+        traces = {key: made[run] for key, (_, _, made) in found.items()}
         title = f"run {run}{', holdout' if run in held_out(fit) else ''}"
         series.append(series_of(title, pose, traces, timed=survey.timed, periodic=period))
-    return Gathered(survey, {key: maps for key, (maps, _) in found.items()}, tuple(series))
+    maps, tables = ({key: each[k] for key, each in found.items()} for k in (0, 1))
+    return Gathered(survey, maps, tables, tuple(series))
 
 
 def _read(
     blocks: Errors, fit: Fit, survey: Survey, places: Sequence[_Map], chosen: Sequence[int]
-) -> tuple[tuple[Cells, ...], dict[int, Trace]]:
-    """Return maps and the traces of the chosen runs from the errors (n_pose, samples) of every block."""
+) -> tuple[tuple[Cells, ...], ErrorTable, dict[int, Trace]]:
+    """Return maps, errors by run, and the traces of the chosen runs from the errors of every block."""
     n = len(fit.model.pose)
     tallies = [Tally(n, cells) for _, cells, _ in places]
     traces = {run: Trace(1 + n) for run in chosen}
+    sizes: dict[int, np.ndarray] = {}
     for block, errors in blocks:
+        known = np.abs(errors[:, np.isfinite(errors).all(axis=0)])
+        count, squares, peak = sizes.get(block.run, np.zeros((3, n)))
+        more = known.max(axis=1, initial=0.0)
+        sizes[block.run] = np.array(
+            [count + known.shape[1], squares + (known**2).sum(axis=1), np.maximum(peak, more)]
+        )
         for (_, _, place), tally in zip(places, tallies, strict=True):
             tally.add(place(block), errors)
         if block.run in traces:
             time = block.data["t_s"] if survey.timed else np.zeros(errors.shape[1])
             traces[block.run].add(np.vstack([time, errors]))
     pairs = zip(places, tallies, strict=True)
-    return tuple(made(count=t.count, mean=t.mean, rms=t.rms) for (made, *_), t in pairs), traces
+    maps = tuple(made(count=t.count, mean=t.mean, rms=t.rms) for (made, *_), t in pairs)
+    count, squares, peak = np.array([*sizes.values()]).transpose(1, 0, 2)
+    return maps, ErrorTable(fit.model.pose, tuple(sizes), count[:, 0], squares, peak), traces
 
 
 def _maps(fit: Fit, survey: Survey) -> list[_Map]:
-    """Return maps over two coordinates, along each output, and by vertical settings or states and runs."""
+    """Return maps over two coordinates, along each output, and along each state that moves within runs."""
     model = fit.model
     reach = dict(zip((*model.references, *model.state), survey.reach, strict=True))
     made = {c.name for c in model.computed}
@@ -229,16 +236,8 @@ def _maps(fit: Fit, survey: Survey) -> list[_Map]:
     ordered = [*lengths, *(c for c in moved if c not in lengths)]
     maps = [_plane(axes[ordered[0]], axes[ordered[1]], fit)] if len(ordered) > 1 else []
     maps += [_along(axes[c], fit) for c in poses]
-    groups, title = settings(fit, survey)
-    if title == "run":
+    if settings(fit, survey)[1] == "run":
         maps += [_along(axes[c], fit) for c in model.state if c in moved]
-    else:
-        maps.append(_grouped(title, groups, fit))
-    if len(survey.runs) > 1:
-        per = -(-len(survey.runs) // MOST)
-        parts = [list(survey.runs[k : k + per]) for k in range(0, len(survey.runs), per)]
-        runs = [(f"{p[0]}" if len(p) == 1 else f"{p[0]}\N{EN DASH}{p[-1]}", p) for p in parts]
-        maps.append(_grouped("run", runs, fit, held_out(fit)))
     return maps
 
 
@@ -286,15 +285,3 @@ def _plane(x: _Axis, y: _Axis, fit: Fit) -> _Map:
     sides = {"edges": x.factor * x.edges(PLANE), "up": y.label, "across": y.factor * y.edges(PLANE)}
     made = _cells(x.label, fit, **sides)
     return made, PLANE**2, lambda block: x.place(block, PLANE) + PLANE * y.place(block, PLANE)
-
-
-def _grouped(by: str, groups: Sequence[Group], fit: Fit, holdout: Sequence[int] = ()) -> _Map:
-    """Cells of runs; a cell is marked when all of its runs are in `holdout`."""
-    at = {run: k for k, (_, runs) in enumerate(groups) for run in runs}
-    labels = tuple(words for words, _ in groups)
-    marked = tuple(k for k, (_, runs) in enumerate(groups) if holdout and set(runs) <= set(holdout))
-
-    def place(block: Block) -> np.ndarray:
-        return np.full(len(next(iter(block.data.values()))), at.get(block.run, -1))
-
-    return _cells(by, fit, labels=labels, marked=marked), len(groups), place

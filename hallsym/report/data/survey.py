@@ -96,8 +96,8 @@ def decoded(
 # -- what one pass finds ---------------------------------------------------------------------------------
 
 
-MOST_SETTINGS = 60
-"""Vertical settings beyond this are shown run by run."""
+MOST_GROUPS = 60
+"""More vertical settings are shown run by run; of more runs neighbours are taken together."""
 
 Group = tuple[str, list[int]]
 """Label and runs."""
@@ -187,22 +187,28 @@ def worst_first(survey: Survey, floor: Mapping[str, float], most: int) -> list[i
     return [survey.runs[k] for k in order[:most]]
 
 
+def by_run(survey: Survey) -> list[Group]:
+    """Return the runs, each a group; of many runs neighbours are one group."""
+    per = -(-len(survey.runs) // MOST_GROUPS)
+    parts = [list(survey.runs[k : k + per]) for k in range(0, len(survey.runs), per)]
+    return [(f"{p[0]}" if len(p) == 1 else f"{p[0]}\N{EN DASH}{p[-1]}", p) for p in parts]
+
+
 def settings(fit: Fit, survey: Survey) -> tuple[list[Group], str]:
-    """Return `[(label, runs)]` by vertical setting and the axis title; one entry per run without settings.
+    """Return `[(label, runs)]` by vertical setting and the axis title; `by_run` without settings.
 
     Settings are of the states that a campaign can set. Runs belong to one setting when their mean states
     agree within 2 % of what the campaign covers. A state that moves within runs, or never changes, makes no
     settings.
     """
-    by_run: list[Group] = [(str(run), [run]) for run in survey.runs]
     axes = [k for k, c in enumerate(fit.model.state) if c in fit.model.family.axes]
     if not axes or len(survey.runs) < 2:
-        return by_run, "run"
+        return by_run(survey), "run"
     state, drift = survey.state[:, axes], survey.drift[:, axes]
     spread = np.ptp(state, axis=0)
     near = np.maximum(0.02 * spread, LEVEL)
     if np.all(spread < LEVEL) or np.any(np.median(drift, axis=0) > np.maximum(0.1 * spread, 2 * LEVEL)):
-        return by_run, "run"
+        return by_run(survey), "run"
     centres: list[np.ndarray] = []
     members: list[list[int]] = []
     for run, point in zip(survey.runs, state, strict=True):
@@ -212,8 +218,8 @@ def settings(fit: Fit, survey: Survey) -> tuple[list[Group], str]:
         else:
             centres.append(point)
             members.append([run])
-        if len(centres) > MOST_SETTINGS:
-            return by_run, "run"
+        if len(centres) > MOST_GROUPS:
+            return by_run(survey), "run"
     columns, periodic = tuple(fit.model.state[k] for k in axes), fit.model.period
 
     def place(k: int) -> tuple:

@@ -27,11 +27,11 @@ def budget_content(budget: Budget, shown: str | None = None, more: Sequence[Bloc
     factor, unit = _unit(budget, shown)
     (largest, share), *_ = budget.ranked()
     answer = (
-        f"{budget.quantity}: U = {number(budget.expanded * factor, 4)} {unit} ({_coverage(budget)}), "
-        f"of which {largest.name} makes {percent(share)}."
+        f"{_called(budget)}: U = {number(budget.expanded * factor, 4)} {unit} ({_coverage(budget)}); the "
+        f"largest source is {largest.name}, {percent(share)} of u squared."
     )
     return Content(
-        f"Budget of {budget.quantity}",
+        f"Budget of {_called(budget)}",
         answer,
         [Section("sources", "Sources", budget_blocks(budget, shown)), Section("more", "More", more)],
         columns=_columns(budget),
@@ -99,11 +99,15 @@ def budget_blocks(budget: Budget, shown: str | None = None) -> list[Block | str]
         size, its = fitting(budget.unit, budget.value or budget.expanded, turns=budget.turns)
         value = f" = {number(budget.value * size)} {its}"
     return [
-        *([Heading(f"{budget.quantity}{value}")] if value else []),
-        Table(head, rows, f"sources of {budget.quantity}", left=2),
+        *([Heading(f"{_called(budget)}{value}")] if value else []),
+        Table(head, rows, f"sources of {_called(budget)}", left=2),
         f"combined standard uncertainty u = {number(budget.std * factor, 4)} {unit} (1 sigma){freedom}",
-        f"expanded uncertainty U = {number(budget.expanded * factor, 4)} {unit} ({_coverage(budget)})",
     ]
+
+
+def _called(budget: Budget) -> str:
+    """Return the quantity: what people call a column of a decoded position, else as it is stated."""
+    return budget.quantity if budget.value is None else name(budget.quantity)
 
 
 def _row(source: Source, share: float, result: str, factor: float, unit: str) -> list[str]:
@@ -190,14 +194,13 @@ def budget_bars(budgets: Mapping[str, Budget], *, worst: bool = False) -> p.Pict
     panels: list[p.Panel] = []
     for own, budget in zip(100 * shares, budgets.values(), strict=True):
         factor, unit = fitting(budget.unit, budget.expanded, turns=budget.turns)
-        what = name(budget.quantity) if budget.value is not None else budget.quantity
         size = f"U = {number(budget.expanded * factor)} {typeset(unit)} (k = {number(budget.factor)})"
         rows = [
             p.Row(label, v, number(v) if abs(v) >= 0.1 else "0" if abs(v) < 1e-9 else "<0.1")
             for label, v in zip(labels, own, strict=True)
         ]
         x = p.Axis("share of u_c² [%]", min(0.0, own.min()), 1.1 * max(own.max(), 1.0))
-        title = f"{what}{', worst position' if worst else ''}\n{size}"
+        title = f"{_called(budget)}{', worst position' if worst else ''}\n{size}"
         panels.append(p.rows(title, x, rows))
     return p.Picture(panels, across=len(panels))
 

@@ -47,6 +47,7 @@ def diagnosis_content(
     d: Diagnosis,
     *,
     maps: shared.Versions | None = None,
+    groups: Sequence[p.Picture] = (),
     series: Sequence[RunSeries] = (),
     fit: Fit | None = None,
     command: str = "",
@@ -54,9 +55,9 @@ def diagnosis_content(
 ) -> Content:
     """Return the report of a diagnosis.
 
-    `maps`, `series`: of the errors before and after, from `gather`, for a page. `fit`: the calibration that
-    was diagnosed, for its parameter table. `command`: what was typed, `reading`: the words of it that say how
-    the log is read, for the next command.
+    `maps`, `groups`, `series`: of the errors before and after, from `gather`, for a page. `fit`: the
+    calibration that was diagnosed, for its parameter table. `command`: what was typed, `reading`: the words
+    of it that say how the log is read, for the next command.
     """
     word = f"{d.verdict.capitalize()}."
     why, following = _next(d, fit, reading)
@@ -69,7 +70,7 @@ def diagnosis_content(
             _effects_section(d),
             _where_section(d),
             _rest_section(d),
-            shared.maps_section(maps or {}, d.noise_floor.outputs, seen=True),
+            shared.maps_section(maps or {}, d.noise_floor.outputs, groups, seen=True),
             shared.runs_section(series),
             Section("parameters", "Parameters", shared.parameters_of(fit) if fit else []),
             Section("notes", "Other checks", [Items(_notes(d))]),
@@ -79,7 +80,8 @@ def diagnosis_content(
             "",
             _basis(d),
             _errors(d),
-            *(shared.expanded_at_rest(fit) if fit and not changed(d) else []),
+            *([shrinks_text(d)] if changed(d) and d.effects else []),
+            *(shared.expanded_at_rest(fit) if fit and d.verdict in QUIET else []),
             *shared.first_view(series, maps or {}, d.noise_floor.outputs),
         ],
         state=STATES.get(d.verdict, "open"),
@@ -89,7 +91,6 @@ def diagnosis_content(
         columns=_columns(d),
         picture=lambda log: gap(d),
         seconds=d.seconds,
-        footer=f"hallsym {d.versions.get('hallsym', '')}",
     )
 
 
@@ -172,13 +173,11 @@ def _errors(d: Diagnosis) -> Table:
 
 
 def _errors_section(d: Diagnosis) -> Section:
-    """Return how far the error falls, and its size on fitted and holdout runs and by harmonic."""
-    content: list[Block | str] = [*([shrinks_text(d)] if changed(d) and d.effects else [])]
-    content += _sizes(d)
+    """Return the error on fitted and holdout runs, and by harmonic."""
+    content = _sizes(d)
     for coordinate in dict.fromkeys(w.coordinate for w in d.waves):
         content += _waves(d, coordinate)
-    title = f"{'Before and after' if changed(d) else 'Errors'}, against the noise floor"
-    return Section("errors", title, content)
+    return Section("errors", "Errors by output, sensor and wave", content)
 
 
 def _sizes(d: Diagnosis) -> list[Block | str]:

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
-
-import numpy as np
 
 from hallsym.errors import InputError, counted
 from hallsym.estimation import Fit, evaluate
@@ -25,11 +22,12 @@ from hallsym.report import picture as p
 from hallsym.report.content import Block, Content, Items, Section, Table
 from hallsym.report.data.gather import Gathered, gather
 from hallsym.report.data.periodic import periodic_of
-from hallsym.report.data.survey import MOST_SETTINGS, Group, Survey, held_out, look_over, settings
+from hallsym.report.data.survey import Survey, look_over, settings
+from hallsym.report.panels import by_group, by_groups
 from hallsym.report.results import shared
 from hallsym.report.results.periodic import periodic
 from hallsym.report.tables import attributes, in_units
-from hallsym.report.words import largest, name, number, scale
+from hallsym.report.words import number
 from hallsym.units import readable
 
 TOO_SMALL = 0.1
@@ -54,7 +52,6 @@ def fit_content(fit: Fit, *, log: Log | None = None) -> Content:
         state="bad" if amiss(fit) else "good",
         columns=_columns(fit),
         picture=lambda other: fit_figure(log_of(fit, other, "fit.plot('log.csv')"), fit, fit.keep),
-        footer=f"hallsym {fit.versions.get('hallsym', '')}",
     )
 
 
@@ -168,7 +165,7 @@ def _goodness(fit: Fit) -> str:
     if fitted is not None:
         more = ", more than noise" if fitted.significant else ""
         said += f" (expected 1 +- {number(fitted.scatter, 2)}, 1 sigma){more}; "
-        said += f"the residual is largest in {fitted.where}: {fitted.worst:.2f} x the noise"
+        said += f"residual over noise {fitted.where}"
     if not 0 < cost < TOO_SMALL:
         return said
     guessed = any(sigma.source == "estimated" for sigma in fit.noise.sigmas.values())
@@ -267,7 +264,7 @@ def page_content(log: Log, fit: Fit, *, command: str = "", calibration: str = "c
         ],
         sections=[
             Section("input", "Input", [_input(log, fit, found, same)]),
-            shared.maps_section({"fitted": found.maps["fitted"]}, fit.noise_floor),
+            shared.maps_section({"fitted": found.maps["fitted"]}, fit.noise_floor, by_groups(fit, found)),
             shared.runs_section([replace(s, lines={"fitted": s.lines["fitted"]}) for s in found.series]),
             Section("repeating", "Errors that repeat", periodic_blocks(fit, log)),
             *(s for s in said.sections if s.ident in ("logs", "parameters")),
@@ -374,52 +371,6 @@ def fit_figure(log: Log, fit: Fit, keep: Weigh | None = None) -> p.Picture:
     return errors_by_setting(fit, look_over(as_read(log, fit.model, fit.corrections), fit, keep))
 
 
-# -- `errors_by_setting`: rmse at each vertical setting, before and after --------------------------------
-
-
 def errors_by_setting(fit: Fit, survey: Survey) -> p.Picture:
     """Return rmse by vertical setting (by run where there are no settings) before and after."""
-    groups, title = settings(fit, survey)
-    series, panels = _series(fit, survey, groups), []
-    few = len(groups) <= MOST_SETTINGS
-    for k, coordinate in enumerate(fit.model.pose):
-        values = np.array([[_rmse(table, runs, k) for runs in sets] for _, table, sets, _, _ in series])
-        floor = float(fit.noise_floor.get(coordinate, 0.0))
-        factor, shown = scale(coordinate, largest(values), fit.model.period)
-        place = np.arange(len(groups))
-        layers: list[p.Layer] = [
-            p.points(place + aside, factor * y, look, label)
-            for (label, _, _, look, aside), y in zip(series, values, strict=True)
-        ]
-        layers += [p.level(factor * floor, label="noise floor")] if floor > 0 else []
-        if few:  # a stroke from the least to the largest of each
-            reach = np.array([np.fmin.reduce(values), np.fmax.reduce(values), np.full(len(groups), np.nan)])
-            layers.append(p.line(np.repeat(place, 3), factor * reach.T.ravel(), p.Look(p.FAINT, width=0.6)))
-        x = p.Axis(title, -0.7, len(groups) - 0.3, names=[label for label, _ in groups])
-        y = p.Axis(f"rmse {name(coordinate)} [{shown}]", log=bool((values > 0).any()))
-        panels.append(p.Panel(x, y, layers, height=97.0))
-    return p.Picture(panels, across=1)
-
-
-def _series(
-    fit: Fit, survey: Survey, groups: Sequence[Group]
-) -> list[tuple[str, ErrorTable, list[list[int]], p.Look, Any]]:
-    """Label, error table, runs of each group, look and shift to the right of every series."""
-    left_out, every = held_out(fit), [runs for _, runs in groups]
-    used = [[r for r in runs if r not in left_out] for runs in every]
-    holdout = [[r for r in runs if r in left_out] for runs in every]
-    size = 4.2 if len(groups) <= 2 * MOST_SETTINGS else 2.0
-    before, after, marked = (replace(look, size=size) for look in (p.BEFORE, p.AFTER, p.HOLDOUT))
-    found: list[tuple[str, ErrorTable, list[list[int]], p.Look, Any]] = [
-        ("nominal", survey.nominal, every, before, 0.0),
-        ("fitted", survey.fitted, used, after, 0.0),
-    ]
-    if any(holdout):
-        aside = np.array([0.25 if u and a else 0.0 for u, a in zip(used, holdout, strict=True)])
-        found.append(("fitted, holdout runs", survey.fitted, holdout, marked, aside))
-    return found
-
-
-def _rmse(table: ErrorTable, runs: Sequence[int], k: int) -> float:
-    found = table.over(runs) if runs else None
-    return found["rmse"][table.pose[k]] if found else float("nan")
+    return by_group(fit, *settings(fit, survey), {"nominal": survey.nominal, "fitted": survey.fitted})

@@ -24,12 +24,12 @@ def periodic(found: PeriodicError, family: Family) -> list[Block | str]:
             f"with this calibration rms {number(factor * hypot(found.calibrated.rms, rest))} {unit}, "
             f"of which {number(factor * rest)} {unit} do not repeat (noise)"
         ]
-    head = [f"error of the {noun} about its mean, by remedy"]
+    head = [f"error of the {noun}, by remedy"]
     head += [f"{what} [{unit}]" for what in ("rms", "lower by", "repeating, peak")]
     rows = []
     remedies = [("nothing done", found.machine, found.rest)]
-    if found.mount_orders:
-        mounted = f"mounted anew, at best: no {_per(found.mount_orders, over)}"
+    if found.mounted != found.machine:
+        mounted = f"mounted anew, at best without waves {_per(found.mount_orders, over)}"
         remedies.append((mounted, found.mounted, found.rest))
     remedies += [
         ("with this calibration", found.calibrated, found.rest_calibrated),
@@ -51,13 +51,13 @@ def _amplitudes(found: PeriodicError, factor: float, unit: str, orders: tuple[in
     shown = [h for h in found.harmonics if h.shown and h.per_period in orders]
     said = (f"{h.per_period}: {number(factor * h.amplitude, 2)}" for h in shown)
     widest = max((h.half_width for h in shown), default=0.0)
-    return f"{', '.join(said)} {unit} (amplitudes, 95 %: +-{number(factor * widest, 1)})" if shown else ""
+    return f"{', '.join(said)} {unit} (95 %: +-{number(factor * widest, 1)})" if shown else ""
 
 
 def _sentences(found: PeriodicError, noun: str, factor: float, unit: str, over: str) -> list[str]:
     orders = tuple(h.per_period for h in found.harmonics if h.per_period not in found.pattern_orders)
     said = _amplitudes(found, factor, unit, orders)
-    lines = [f"waves per {over} of the {noun}: {said or 'none that the log shows'}"]
+    lines = [f"amplitude of each wave per {over} of the {noun}: {said or 'none that the log shows'}"]
     pattern = _amplitudes(found, factor, unit, found.pattern_orders)
     if pattern:
         lines.append(
@@ -68,7 +68,7 @@ def _sentences(found: PeriodicError, noun: str, factor: float, unit: str, over: 
         per = _per(found.pattern_orders, over)
         lines.append(f"pattern of the reference ({per}): none that the log shows")
     lines += [
-        f"{n} per {over} may come from {', '.join(names)} too, which mounting does not remove"
+        f"wave {n} per {over} may also come from {', '.join(names)}, which mounting does not remove"
         for n, names in found.elsewhere.items()
         if names and any(h.per_period == n and h.shown for h in found.harmonics)
     ]
@@ -76,9 +76,9 @@ def _sentences(found: PeriodicError, noun: str, factor: float, unit: str, over: 
         lines.append(f"the scale of the reference differs by {100 * found.slope:+.2g} %; left out above")
     rest, after = (f"{number(factor * size, 2)} {unit}" for size in (found.rest, found.rest_calibrated))
     if rest == after:
-        return [*lines, f"does not repeat, and is part of every rms: {rest} (noise)"]
+        return [*lines, f"part of every rms that does not repeat: {rest} (noise)"]
     return [
         *lines,
-        f"does not repeat, and is part of every rms: {rest} with nominal parameters, {after} (noise) with "
-        "this calibration",
+        f"part of every rms that does not repeat: {rest} with nominal parameters, {after} (noise) with this "
+        "calibration",
     ]

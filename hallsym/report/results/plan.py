@@ -55,8 +55,9 @@ def plan_content(plan: Plan) -> Content:
 def worst_text(worst: Worst) -> str:
     """Return the combination and how well it is known."""
     if worst.std is None:
-        return f"{worst.text} (each over its bound width), not determined"
-    return f"{worst.text} (each over its bound width), +- {number(100 * worst.std, 2)} % of it (1 sigma)"
+        return f"{worst.text}, not determined"
+    known = f"known to {number(100 * worst.std, 2)} % (1 sigma)"
+    return f"{worst.text}, {known}, each over the width of its bounds"
 
 
 # -- picture: planned and recorded settings and paths ---------------------------------------------------

@@ -13,7 +13,7 @@ from hallsym.errors import InputError, counted
 from hallsym.estimation import Fit
 from hallsym.estimation.calibration import LogRecord
 from hallsym.log.columns import in_a_row
-from hallsym.report.content import Block, Folded, Heading, Items, Note, Runs, Section, Table, Words
+from hallsym.report.content import Block, Folded, Items, Note, Runs, Section, Table, Words
 from hallsym.report.data.gather import Cells, RunSeries
 from hallsym.report.panels import Sizes, over_time, plane, profile, script_data
 from hallsym.report.picture import Picture
@@ -21,7 +21,7 @@ from hallsym.report.tables import cells, concise, heads, in_units
 from hallsym.report.words import number
 from hallsym.units import parameter_unit
 
-COLOURS = "The fuller the colour the larger the error; a dash marks a negative one; no cell: no samples."
+COLOURS = "The fuller the colour the larger the error; a dash marks a negative one; no cell: too few samples."
 BANDS = "Line: mean; band: plus and minus the rms."
 VALUES = (
     "Values with the standard uncertainty in parentheses, on the last two digits; a value in parentheses is "
@@ -82,7 +82,7 @@ def error_table(
         noise = cells([floor[c] for c in pose], pose, periodic, 4)
         table.append([f"noise floor, {source}" if source else "noise floor", *noise])
     head = ["errors", *heads(pose, periodic)]
-    return Table(head, [*table, *sizes("peak")], "root mean square and largest error of each output")
+    return Table(head, [*table, *sizes("peak")], "errors of each output")
 
 
 def errors_by(
@@ -94,7 +94,7 @@ def errors_by(
     for label, row in rows.items():
         sizes = (cells([row[what][c] for c in pose], pose, periodic, 4) for what in ("rmse", "peak"))
         lines.append([label, *chain.from_iterable(sizes)])
-    return Table(head, lines, f"root mean square and largest error of each output, {title}")
+    return Table(head, lines, f"errors of each output, {title}")
 
 
 def expanded_at_rest(fit: Fit) -> list[str]:
@@ -113,35 +113,32 @@ def expanded_at_rest(fit: Fit) -> list[str]:
 # -- where, when, and how the error is distributed ---------------------------------------------------------
 
 
-FEW = 3
-"""Outputs of which a page shows every picture; of more all but the first ones are folded."""
+WORDS = {"mean": "mean error", "rms": "rms error"}
 Versions = Mapping[str, Sequence[Cells]]
 """The maps of one version of the model, or the same maps of two, before and after."""
 
 
-def maps_section(found: Versions, floor: Mapping[str, float], *, seen: bool = False) -> Section:
+def maps_section(
+    found: Versions, floor: Mapping[str, float], groups: Sequence[Picture] = (), *, seen: bool = False
+) -> Section:
     """Return the maps of the error.
 
     Of two versions maps over two coordinates stand one under the other on a common scale; along a coordinate
-    and by runs one is drawn over the other. `seen`: `first_view` shows these versions, all that there is of
-    a single coordinate, which is not drawn again.
+    one is drawn over the other. `groups`: pictures by groups of runs. `seen`: `first_view` shows these
+    versions, all that there is of a single coordinate, which is not drawn again.
     """
     how, along = _how([*found], floor), _along(found)
     along = [] if seen and len(along) == 1 else along
     content = _planes(found, floor)
     content += [Note(f"Along one coordinate. {how}")] if along else []
-    content += _few([Picture(_charts(pair, floor), words=f"over {pair[0].by}") for pair in along])
-    for m, *after in zip(*found.values(), strict=True):
-        if m.labels:
-            marked = " An h marks runs of the holdout." if m.marked else ""
-            content += [Heading(f"By {m.by}"), Note(f"{how}{marked}")]
-            content.append(Picture(_charts([m, *after], floor), across=2))
-    return Section("maps", "Where the error is", content)
+    content += _first([Picture(_charts(pair, floor), words=f"over {pair[0].by}") for pair in along], 1)
+    content += [Note("By group of runs, on logarithmic axes.")] if groups else []
+    return Section("maps", "Maps of the error", [*content, *groups])
 
 
 def _along(found: Versions) -> list[list[Cells]]:
     """Return the maps along one coordinate, each of every version."""
-    return [[*each] for each in zip(*found.values(), strict=True) if not (each[0].up or each[0].labels)]
+    return [[*each] for each in zip(*found.values(), strict=True) if not each[0].up]
 
 
 def _planes(found: Versions, floor: Mapping[str, float]) -> list[Any]:
@@ -149,21 +146,19 @@ def _planes(found: Versions, floor: Mapping[str, float]) -> list[Any]:
     pictures = [
         Picture(
             [plane(m, [*flat.values()], what, k, floor.get(c) or 0.0) for k, c in enumerate(m.pose)],
-            words=f"{what}{f', {version}' if len(found) > 1 else ''}",
+            words=f"{WORDS[what]}{f', {version}' if len(found) > 1 else ''}",
         )
-        for what in ("mean", "rms")
+        for what in WORDS
         for version, m in flat.items()
     ]
     more = " Before and after have one scale." if len(found) > 1 else ""
     note = f"Over the first two coordinates that move. {COLOURS}{more}"
-    return [Note(note), pictures[0], *_few(pictures[1:])] if pictures else []
+    return [Note(note), *_first(pictures, len(flat))] if pictures else []
 
 
-def _few(pictures: Sequence[Picture]) -> list[Block]:
-    """Return pictures of a few outputs as they are, of many each folded."""
-    return [
-        one if len(one.panels) <= FEW else Folded(one.words, [replace(one, words="")]) for one in pictures
-    ]
+def _first(pictures: Sequence[Picture], shown: int) -> list[Block]:
+    """Return pictures, all but the first ones folded."""
+    return [*pictures[:shown], *(Folded(one.words, [replace(one, words="")]) for one in pictures[shown:])]
 
 
 def _charts(both: Sequence[Cells], floor: Mapping[str, float]) -> list[Any]:
@@ -206,12 +201,12 @@ def _follows(cells: Cells, output: int) -> float:
 def runs_section(found: Sequence[RunSeries]) -> Section:
     """Return the errors over time of the worst run, with those of others for the script."""
     if not found:
-        return Section("series", "Decoded minus reference over time", [])
+        return Section("series", "Error over time", [])
     first, data = found[0], script_data(found)
     colours = _colours([*first.lines])
     key = f". {colours}" if colours else ""
     shown = Runs(first.title, data["runs"][0]["note"], over_time(first), key, data)
-    return Section("series", "Decoded minus reference over time", [shown])
+    return Section("series", "Error over time", [shown])
 
 
 # -- parameters ---------------------------------------------------------------------------------------------

@@ -75,7 +75,7 @@ def worth_table(found: Tolerances) -> Table:
         j = found.active.index(one)
         wide = _percent(found.worth.exact_half[j].max())
         rows.append([one, size(ranges[one]), *map(_percent, found.worth.exact[j]), wide])
-    caption = "what a tolerance is worth: fall of the rms error in % if it alone is exact"
+    caption = "fall of the rms error in % if one tolerance alone is exact"
     return Table(head, rows, caption, left=2, titled=True)
 
 
@@ -110,8 +110,8 @@ def _percent(value: float) -> str:
 def _sentences(found: Tolerances) -> Iterator[str]:
     yield _sharpness(found)
     yield (
-        "several at once: shares of the error add where first and total index agree; the rms falls to "
-        "sqrt(1 - sum)"
+        "several exact at once: add their first indices, if first and total agree; the rms falls to "
+        "sqrt(1 - sum) of its value"
     )
     exact = [t.name for t in found.tolerances if t.width == 0]
     if exact:
