@@ -54,7 +54,6 @@ STYLE = {
     "axes.axisbelow": True,
     "grid.color": p.GRID,
     "grid.linewidth": 0.5,
-    "hatch.linewidth": 0.5,
     "text.parse_math": False,
     "svg.fonttype": "none",
     "svg.hashsalt": "hallsym",  # names inside an svg are random without one

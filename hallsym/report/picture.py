@@ -93,7 +93,7 @@ class Picture:
 class Look:
     """Colour of lines and edges, colour of areas, and the marks that distinguish them without colour.
 
-    `width` of lines and `size` of markers in points; `dash`, `marker` and `hatch` as in matplotlib.
+    `width` of lines and `size` of markers in points; `dash` and `marker` as in matplotlib.
     """
 
     color: str
@@ -102,7 +102,6 @@ class Look:
     width: float = 0.9
     marker: str = ""
     size: float = 4.5
-    hatch: str = ""
 
 
 INK, SOFT, FAINT, GRID, PAPER = "#000000", "#555555", "#bbbbbb", "#e2e2e2", "#ffffff"
@@ -175,7 +174,7 @@ def boxes(
         drawn = PolyCollection(
             list(corners), facecolors=to_rgba_array([look.face] * len(corners), full[good]),
             edgecolors=look.color if look.width else "none", linewidths=min(look.width, 0.6),
-            hatch=look.hatch or None, zorder=2, label=printable(label), rasterized=len(corners) > DENSE,
+            zorder=2, label=printable(label), rasterized=len(corners) > DENSE,
         )  # fmt: skip
         if len(said):
             drawn.set_gid(

@@ -194,7 +194,8 @@ def gather(
         traces = {key: made[run] for key, (_, _, made) in found.items()}
         title = f"run {run}{', holdout' if run in held_out(fit) else ''}"
         series.append(series_of(title, pose, traces, timed=survey.timed, periodic=period))
-    maps, tables = ({key: each[k] for key, each in found.items()} for k in (0, 1))
+    maps = {key: each for key, (each, *_) in found.items()}
+    tables = {key: table for key, (_, table, _) in found.items()}
     return Gathered(survey, maps, tables, tuple(series))
 
 
