@@ -1,7 +1,6 @@
 """Reports on what data determine, of which tests draw pictures, and what holds for every picture."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -11,7 +10,7 @@ from twins import SIGMAS, TRUTH, record, with_noise
 
 from hallsym.estimation import fit
 from hallsym.families import build
-from hallsym.inference import Identifiability, Verdict, identify
+from hallsym.inference import Identifiability, identify
 from hallsym.report.data.gather import RunSeries, series_of
 from hallsym.report.data.survey import Trace
 from hallsym.report.drawing import WIDTH
@@ -43,21 +42,6 @@ def level() -> Identifiability:
 def plan() -> Identifiability:
     """A campaign that nobody has recorded yet."""
     return identify(build("stage31"), constant_height(), values=TRUTH, noise=SIGMAS, name="level.toml")
-
-
-@cache
-def odd() -> Identifiability:
-    """The full report with every verdict."""
-    whole = full()
-    changes: dict[str, dict[str, Any]] = {
-        "eta_A": {"verdict": Verdict("weak", "of the test"), "share": 0.6},
-        "eta_B": {"verdict": Verdict("at bound"), "std": None, "sigma": None},
-        "eta_C": {"share": float("inf"), "verdict": Verdict("weak")},
-        "a_A": {"verdict": Verdict("no effect"), "std": None, "interval": None, "share": None, "sigma": None},
-        "a_B": {"verdict": Verdict("fixed"), "std": None, "interval": None, "share": None, "sigma": None},
-    }
-    parameters = tuple(replace(e, **changes.get(e.name, {})) for e in whole.parameters)
-    return replace(whole, parameters=parameters)
 
 
 def run_series(

@@ -7,7 +7,6 @@ recording. With --plan: the same before any recording.
 """
 
 from argparse import Namespace
-from functools import partial
 from pathlib import Path
 
 from hallsym.cli import NOT_DETERMINED, OK, common
@@ -17,7 +16,7 @@ from hallsym.families import build
 from hallsym.families.machine_file import read_machine
 from hallsym.files import write_json
 from hallsym.inference import Identifiability, identify
-from hallsym.report.results.identifiability import drawable
+from hallsym.report.results.identifiability import correlation
 from hallsym.report.results.shared import few
 
 PAPER = "the paper's campaign"
@@ -35,7 +34,7 @@ log LOG <optional>              the log it was fitted to, or another one
 --plan TOML <alone>             a campaign file instead of a log (no file: Table 6)
 @own
 -o, --output JSON               save the report
-@plots save pictures
+@plots save a picture of the correlation
 [intervals]
 --profiles PROFILES <=auto, auto|all|none>  profile likelihood where a normal interval is not good
     enough (default), of all, or of none
@@ -50,7 +49,8 @@ def run(options: Namespace) -> int:
     report = _planned(options) if options.plan is not None else _recorded(options)
     if options.output:
         write_json(options.output, report.to_dict())
-    draw = {picture.__name__: partial(picture, report) for picture in drawable(report)}
+    known = sum(entry.std is not None for entry in report.parameters)
+    draw = {"correlation": lambda: correlation(report)} if known > 1 else {}
     drawn = common.plots(options, draw, report.evidence.recorded, report.model.name)
     common.say(options, report, wrote=[options.output, *drawn])
     return _exit_code(report)

@@ -210,16 +210,15 @@ class Row:
 
 
 def rows(title: str, x: Axis, found: Sequence[Row], *, floor: float = 0.0) -> Panel:
-    """Return one row per value, a bar from 0 or, on an axis of decades, from its end; a nan has no bar.
+    """Return one row per value, with a bar from 0; a nan has no bar.
 
     The noise floor, where there is one, is dashed.
     """
     names = [r.name if len(r.name) <= LONGEST else f"{r.name[: LONGEST - 1]}…" for r in found]
-    half, zero = 0.32, (x.low or 0.0) if x.log else 0.0
-    layers = [] if x.log else [level(0.0, Look(SOFT, width=0.6), up=True)]
+    half, layers = 0.32, [level(0.0, Look(SOFT, width=0.6), up=True)]
     for k, r in enumerate(found):
         if r.span is None:
-            layers.append(boxes(zero, r.value, k - half, k + half, r.look))
+            layers.append(boxes(0.0, r.value, k - half, k + half, r.look))
         else:
             layers += [line(r.span, (k, k), MEDIANS[1]), points(r.value, k, r.look)]
     says = f"{title}: {'; '.join(f'{r.name} {r.shown}' for r in found)}"

@@ -39,7 +39,7 @@ LINES = [
     "plan --like-paper --runs 4",
     f"plan --reference constant-speed --model rings3 --after {DATA}/ring --accuracy 0.01deg",
     "report calib.json LOG -o page.html",
-    "sensitivity calib.json LOG --plots correlation,effects",
+    "sensitivity calib.json LOG --plots correlation",
     f"simulate {DATA}/encoder/campaign.toml -o made.csv --seed 1",
     "sort bench.csv --field 0mT,475mT --model rotary --sets 3",
     "tolerances --model rotary --samples 64",

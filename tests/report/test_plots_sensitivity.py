@@ -10,9 +10,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+from hallsym.errors import InputError
 from hallsym.report.drawing import draw
-from hallsym.report.results.identifiability import LEAST, correlation, drawable, effects
-from hallsym.report.words import name
+from hallsym.report.results.identifiability import correlation
 
 # -- correlation -----------------------------------------------------------------------------------------
 
@@ -50,34 +50,6 @@ def test_fullness_of_a_cell_is_the_correlation_and_negative_ones_have_a_dash() -
     assert dash.get_ydata()[:2] == pytest.approx([0.0, 0.0])
 
 
-# -- effects ---------------------------------------------------------------------------------------------
-
-
-def test_bars_of_effects_end_at_what_the_report_says() -> None:
-    odd = reports.odd()
-    figure = draw(effects(odd))
-    rows = [e for e in odd.parameters if e.verdict.word != "fixed"]
-    labels = [label.get_text() for label in figure.axes[0].get_yticklabels()]
-    assert labels == [*(e.name for e in rows), "all together"]
-    for ax, column, unit in zip(figure.axes, odd.model.pose, ("µm", "µm", "µrad"), strict=True):
-        assert ax.get_title("left") == f"change of {name(column)} [{unit}]"
-        floor, together = odd.outputs[column].noise_floor, odd.outputs[column].parameters_worst
-        sizes = [*(e.sigma and e.sigma.worst[column] for e in rows), together]
-        expected = {k: 1e6 * v for k, v in enumerate(sizes) if v is not None and v > LEAST * floor}
-        ends = [path.get_extents() for bars in ax.collections for path in bars.get_paths()]
-        drawn = {round((end.y0 + end.y1) / 2): end.x1 for end in ends}
-        assert drawn == pytest.approx(expected)
-        low, high = ax.get_xlim()
-        assert low < min(drawn.values()) <= max(drawn.values()) < high
-        (level,) = ax.lines
-        assert level.get_xdata()[0] == pytest.approx(1e6 * floor)
-        for text, e, size in zip(ax.texts, rows, sizes, strict=False):
-            said = text.get_text()
-            assert (
-                said == e.verdict.word if size is None else float(said) == pytest.approx(1e6 * size, rel=0.06)
-            )
-
-
 # -- as drawings -----------------------------------------------------------------------------------------
 
 
@@ -108,19 +80,14 @@ def labels(tick: Tick) -> tuple[Text, Text]:
     return tick.label1, tick.label2
 
 
-@pytest.mark.parametrize(
-    ("picture", "report"),
-    [(correlation, "full"), (correlation, "level"), (effects, "odd"), (effects, "level")],
-)
-def test_nothing_is_beyond_the_edge_or_on_other_words(picture, report: str) -> None:
-    figure = draw(picture(getattr(reports, report)()))
+@pytest.mark.parametrize("report", ["full", "level"])
+def test_nothing_is_beyond_the_edge_or_on_other_words(report: str) -> None:
+    figure = draw(correlation(getattr(reports, report)()))
     FigureCanvasAgg(figure).draw()
     reports.inside(figure)
     apart(figure)
 
 
 def test_pictures_that_have_nothing_to_show_are_not_drawn() -> None:
-    plan, full = reports.plan(), reports.full()
-    assert drawable(plan) == [correlation, effects]
-    assert drawable(full) == [correlation, effects]
-    assert drawable(replace(plan, correlation=np.full((21, 21), np.nan))) == [effects]
+    with pytest.raises(InputError, match="no correlation to draw"):
+        correlation(replace(reports.plan(), correlation=np.full((21, 21), np.nan)))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from hallsym.errors import counted
+from hallsym.errors import InputError, counted
 from hallsym.inference import (
     VERDICTS,
     Change,
@@ -22,7 +22,7 @@ from hallsym.report import picture as p
 from hallsym.report.content import Block, Content, Section, Table
 from hallsym.report.results.shared import NAMED, called, few
 from hallsym.report.tables import attributes, cells, concise, heads, in_units
-from hallsym.report.words import largest, minus, name, number, scale
+from hallsym.report.words import minus, number
 from hallsym.units import parameter_unit
 
 
@@ -62,7 +62,7 @@ def identifiability_content(report: Identifiability) -> Content:
             Section("notes", "Evidence and notes", [*offsets_text(report.offsets), *notes]),
         ],
         columns=_columns(report),
-        picture=lambda log: effects(report),
+        picture=lambda log: correlation(report),
     )
 
 
@@ -219,19 +219,6 @@ def offsets_text(offsets: Offsets) -> list[str]:
     return [f"{offsets.values.size} zero deviations, eliminated: {'; '.join(said)}; {each}"]
 
 
-# -- pictures -------------------------------------------------------------------------------------------
-
-
-def drawable(report: Identifiability) -> list[Callable[[Identifiability], p.Picture]]:
-    """Return the pictures that there is something to draw of: no correlation of a single parameter."""
-    out: list[Callable[[Identifiability], p.Picture]] = []
-    if np.isfinite(np.diag(report.correlation)).sum() > 1:
-        out.append(correlation)
-    if shown(report):
-        out.append(effects)
-    return out
-
-
 def shown(report: Identifiability) -> list[ParameterReport]:
     """Return the parameters that are not fixed."""
     return [entry for entry in report.parameters if entry.verdict.word != "fixed"]
@@ -249,6 +236,8 @@ def correlation(report: Identifiability) -> p.Picture:
     The fuller a cell the larger the correlation; negative ones have a dash.
     """
     order = np.flatnonzero(np.isfinite(np.diag(report.correlation)))
+    if len(order) < 2:
+        raise InputError("There is no correlation to draw: no two parameters are determined.")
     names = [report.model.names[k] for k in order]
     values, n = report.correlation[np.ix_(order, order)], len(order)
     rest = [entry for k, entry in enumerate(report.parameters) if k not in order]
@@ -279,38 +268,3 @@ def _short(value: float) -> str:
         return "0"
     text = "1.0" if abs(value) >= 0.995 else f"{abs(value):.2f}"[1:]
     return minus(("-" if value < 0 else "") + text)
-
-
-# -- effects of the parameters ---------------------------------------------------------------------------
-
-
-LEAST = 1e-3
-"""Part of the noise of one reading below which a change has no bar."""
-
-
-def effects(report: Identifiability) -> p.Picture:
-    """Return the largest change of each pose coordinate by 1 sigma of each parameter, all others fixed.
-
-    The last row is of all parameters together. A parameter without a bar has its verdict.
-    """
-    panels = [_effect_panel(report, column) for column in report.model.pose]
-    words = "By one standard uncertainty of each parameter; dashed: noise of one reading."
-    return p.Picture(panels, across=len(panels), words=words)
-
-
-def _effect_panel(report: Identifiability, column: str) -> p.Panel:
-    entries, out = shown(report), report.outputs[column]
-    sizes = [np.nan if e.sigma is None else e.sigma.worst[column] for e in entries]
-    every = np.array([*sizes, out.parameters_worst])
-    drawn = np.where(every > LEAST * out.noise_floor, every, np.nan)
-    factor, unit = scale(column, max(largest(drawn), out.noise_floor), report.model.period)
-    lined = factor * np.array([v for v in (*drawn, out.noise_floor) if v > 0])
-    x = p.Axis("", lined.min() / 1.6, 1.6 * lined.max(), log=True)
-    rows = []
-    for entry, size, bar in zip([*entries, None], every, factor * drawn, strict=True):
-        word = entry.verdict.word if entry else "determined"
-        said = word if np.isnan(size) else number(factor * size, 2)
-        look = p.AFTER if word == "determined" else p.BEFORE
-        rows.append(p.Row(entry.name if entry else "all together", bar, said, look=look))
-    title = f"change of {name(column)} [{unit}]"
-    return p.rows(title, x, rows, floor=factor * out.noise_floor)
