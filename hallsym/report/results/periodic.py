@@ -29,7 +29,8 @@ def periodic(found: PeriodicError, family: Family) -> list[Block | str]:
     rows = []
     remedies = [("nothing done", found.machine, found.rest)]
     if found.mounted != found.machine:
-        mounted = f"mounted anew, at best without waves {_per(found.mount_orders, over)}"
+        waves = "waves" if len(found.mount_orders) > 1 else "wave"
+        mounted = f"mounted anew, at best without {waves} {_per(found.mount_orders, over)}"
         remedies.append((mounted, found.mounted, found.rest))
     remedies += [
         ("with this calibration", found.calibrated, found.rest_calibrated),
