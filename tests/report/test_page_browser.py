@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import browser
@@ -12,6 +13,7 @@ from test_page_diagnosis import POSE, a_record, page_of
 
 from hallsym.report.content import document
 from hallsym.report.data.gather import gather
+from hallsym.report.panels import by_groups
 from hallsym.report.results.fit import page_content
 
 OVERLAPS = """JSON.stringify({
@@ -97,10 +99,13 @@ def pages(tmp_path_factory, log, fitted) -> dict[str, Path]:
     series = [run_series("run 2, holdout", POSE, t, errors)]
     wordy = a_record()
     wordy["effects"][0]["name"] = wordy["where"][0]["by"] = "a_long_name_of_an_effect_that_a_user_wrote" * 3
-    twice = dict.fromkeys(("before", "after"), found.maps["before"])
+    twice, tables = (
+        dict.fromkeys(("before", "after"), each["before"]) for each in (found.maps, found.tables)
+    )
+    groups = by_groups(fitted, replace(found, tables=tables))
     texts = {
         "fit": document(page_content(log, fitted, command="hallsym report calib.json log.csv")),
-        "diagnosis": page_of(wordy, maps=twice, series=series, fit=fitted),
+        "diagnosis": page_of(wordy, maps=twice, groups=groups, series=series, fit=fitted),
     }
     for name, text in texts.items():
         (folder / f"{name}.html").write_text(text, encoding="utf-8")
@@ -123,7 +128,7 @@ def test_the_script_runs_under_its_own_policy(chromium, pages, name):
         for part in ("asked", "errors", "effects", "where", "rest", "maps", "series", "parameters", "origin"):
             assert f'<section id="{part}">' in shown
         assert shown.count("line with its 95&nbsp;% band") == 1
-        assert shown.count('stroke="var(--median0)"') > 20  # before, under after
+        assert shown.count('stroke="var(--median0)"') == 15  # before, over time and along coordinates
 
 
 @pytest.mark.slow
