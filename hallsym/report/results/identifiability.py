@@ -102,7 +102,8 @@ def _parameters(report: Identifiability) -> list[Block | str]:
             value = concise(entry.value * factor, entry.std * factor)
         share = "" if entry.share is None else f"{number(100 * entry.share, 2)} %"
         other = "".join(f"{name} {r:+.2f}" for name, r in entry.correlated_with[:1] if entry.std is not None)
-        because, meaning = entry.verdict.because, meanings.get(entry.name)
+        because, _, _ = (entry.verdict.because or "").partition("; only ")  # combinations have a table
+        meaning = meanings.get(entry.name)
         why = because and f"{' ' if because.startswith('from ') else ': '}{because}"
         verdict = entry.verdict.word + (why or (f"; {meaning}" if meaning else ""))
         rows.append([entry.name, value, unit, _interval(entry, factor), share, other, verdict])
