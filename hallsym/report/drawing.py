@@ -136,7 +136,7 @@ def _around(panel: p.Panel, font: float) -> float:
 
 def _panel(ax: Axes, panel: p.Panel, font: float) -> None:
     ax.set_title(printable(panel.title, keep="\n"))
-    for layer in panel.layers:
+    for layer in (*panel.layers, *panel.inside):
         layer(ax)
     for k, words in enumerate(panel.beside):
         ax.text(1.02, k, printable(words), transform=ax.get_yaxis_transform(), va="center_baseline")
@@ -239,7 +239,7 @@ def svg(panel: p.Panel, width: float, *, fixed: bool = False) -> Markup:
         ax = figure.add_axes(place)
         for patch in (figure.patch, ax.patch):
             patch.set_visible(False)
-        _panel(ax, panel, PAGE_FONT)
+        _panel(ax, replace(panel, inside=()), PAGE_FONT)
         longest = max((len(label.get_text()) for label in ax.get_yticklabels()), default=0)
         more = LETTER * longest - 42 if panel.y.names is None else 0.0  # beyond the usual numbers
         if more > 0:

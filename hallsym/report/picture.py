@@ -49,7 +49,8 @@ Layer = Callable[["Axes"], Any]
 class Panel:
     """Layers over two axes, `height` high [1/72 inch]; `says` is read out in their place.
 
-    `beside`: words to the right, row by row. In a figure a panel is `share` times as wide as others.
+    `beside`: words to the right, row by row. In a figure a panel is `share` times as wide as others, and has
+    `inside`, for whose letters a page has no room.
     """
 
     x: Axis
@@ -60,6 +61,7 @@ class Panel:
     height: float = 90.0
     grid: bool = True
     beside: Sequence[str] = ()
+    inside: Sequence[Layer] = ()
     share: float = 1.0
 
 
@@ -245,12 +247,16 @@ def tiles(
     layers: list[Layer] = []
     (left, low), (right, high) = np.meshgrid(x[:-1], y[:-1]), np.meshgrid(x[1:], y[1:])
     edge = 0.4 if values.size <= DENSE else 0.0
-    for own, colour, label in ((values >= 0, "#00609a", labels[0]), (values < 0, "#c04f00", labels[1])):
-        if own.any():
-            words = [said[k] for k in np.flatnonzero(own).tolist()] if said else ()
-            strength = np.minimum(np.abs(values[own]) / full, 1.0)
-            place = (left[own], right[own], low[own], high[own])
-            layers.append(boxes(*place, Look(GRID, colour, width=edge), label, said=words, strength=strength))
+    for cells, colour, label in ((values >= 0, "#00609a", labels[0]), (values < 0, "#c04f00", labels[1])):
+        if cells.any():
+            own = np.flatnonzero(cells)
+            own = own[np.argsort(-np.abs(values.flat[own]), kind="stable")]  # the legend has the first colour
+            words = [said[k] for k in own.tolist()] if said else ()
+            strength = np.minimum(np.abs(values.flat[own]) / full, 1.0)
+            a, b, c, d = (end.flat[own] for end in (left, right, low, high))
+            layers.append(
+                boxes(a, b, c, d, Look(GRID, colour, width=edge), label, said=words, strength=strength)
+            )
     dashed = values < -FULL * full
     wide, middle = (right - left)[dashed], 0.5 * (low + high)[dashed]
     ends = [left[dashed] + 0.3 * wide, right[dashed] - 0.3 * wide, np.full(len(wide), np.nan)]

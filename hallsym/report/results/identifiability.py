@@ -250,15 +250,18 @@ def correlation(report: Identifiability) -> p.Picture:
     written = n <= WRITTEN
     drawn = np.where(np.triu(np.ones((n, n)), 1) if written else ~np.eye(n, dtype=bool), values, np.nan)
     edges = np.arange(n + 1) - 0.5
-    layers = p.tiles(edges, edges, drawn, 1.0, labels=("correlated", "anticorrelated"))
-    if written:
-        row, column = np.tril_indices(n, -1)
-        layers.append(p.text([_short(v) for v in values[row, column]], column, row, "center"))
+    pairs = [(names[j], names[i], values[j, i]) for j in range(n) for i in range(n)]
+    said = [f"{a}, {b}: {minus(f'{v:+.2f}')}" for a, b, v in pairs]
+    row, column = np.tril_indices(n, -1)
+    strongest = int(np.argmax(np.abs(values[row, column])))
+    numbers = p.text([_short(v) for v in values[row, column]], column, row, "center")
     panel = p.Panel(
         p.Axis(low=-0.5, high=max(n, WRITTEN) - 0.5, names=names),
         p.Axis(low=n - 0.5, high=-0.5, names=names),
-        layers,
+        p.tiles(edges, edges, drawn, 1.0, said, labels=("correlated", "anticorrelated")),
+        says=f"correlation of {n} parameters; strongest {said[n * row[strongest] + column[strongest]]}",
         height=min(CELL * n, HIGH),
+        inside=[numbers] if written else [],
     )
     return p.Picture([panel], words=f"Left out, {'; '.join(left_out)}." if rest else "")
 
