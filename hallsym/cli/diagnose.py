@@ -10,6 +10,7 @@ from typing import Any
 
 from hallsym.cli import INTERRUPTED, OK
 from hallsym.cli.common import chosen, open_log, own_effects, progress_of, reading_words, say
+from hallsym.codegen import price
 from hallsym.diagnosis import Examined, examine, model_on, prepare
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
@@ -72,7 +73,7 @@ def run(options: Namespace) -> int:
         if options.budget is not None:
             raise InputError("--budget ends one search; --power makes many: choose one of the two.")
         return _power(options, log, model, more)
-    seen = examine(prepare(log, model, **(chosen(options, prepare) | more)))
+    seen = examine(prepare(log, model, **(chosen(options, prepare) | more)), price)
     found = seen.diagnosis
     for path in options.output:
         if path.lower().endswith((".html", ".htm")):

@@ -6,6 +6,7 @@ import numpy as np
 
 from hallsym.codegen.decoupler import Bits, Box, Decoupler, Lookup, Whole, unit
 from hallsym.codegen.lowering import check_columns, lowered
+from hallsym.errors import InputError
 from hallsym.model import Model
 
 TYPICAL = {"m": 5e-4, "rad": 5e-4, "degC": 10.0}
@@ -55,3 +56,17 @@ def cost_of(model: Model, p: np.ndarray | None = None) -> Cost:
     middle = {c: 0.0 if c in model.period else about.get(c, 0.0) for c in reach}
     box = Box({c: (middle[c] - most, middle[c] + most) for c, most in reach.items()})
     return firmware_cost(lowered(model, model.nominal if p is None else p, np.ones(len(model.channels)), box))
+
+
+def price(before: Model, after: Model, p: np.ndarray) -> str:
+    """Return in words what the step from one model to another adds to the C of the controller.
+
+    `p`: parameters of `after`, (n,), which decide how often a non-linear model is iterated.
+    """
+    shared = before.vector({n: v for n, v in after.named(p).items() if n in before.names})
+    try:
+        old, new = cost_of(before, shared), cost_of(after, p)
+    except InputError:
+        return "no C is generated with it"
+    work = f"C about {old.instructions} -> {new.instructions} instructions"
+    return f"{work}, parameter table {old.table} -> {new.table} B"

@@ -17,7 +17,7 @@ from typing import Any
 from hallsym.diagnosis.facts import change_points
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.record import Diagnosis
-from hallsym.diagnosis.report import Confusable, confusable, findings, report
+from hallsym.diagnosis.report import Confusable, Price, confusable, findings, report
 from hallsym.diagnosis.residual_table import residual_table
 from hallsym.diagnosis.residuals import Base, forget_candidates
 from hallsym.diagnosis.selection import select
@@ -54,6 +54,7 @@ def diagnose(
     drop_bad: bool = False,
     budget: float | None = None,
     policy: Policy = POLICY,
+    price: Price | None = None,
     on_progress: Callable[[str], None] | None = None,
 ) -> Diagnosis:
     """Diagnose the gap between `model` and the machine that recorded `log`.
@@ -62,7 +63,8 @@ def diagnose(
     runs to judge on; the log's own, else every fifth. `effects`: the user's own, beside the catalogue.
     `corrections`: mistakes of the recording to undo, as for `fit`. `threshold`: relative decrease of the gap
     metric that counts; the log's own, else 5 %. `budget`: seconds after which the search ends with the result
-    so far and a note. `policy`: all other thresholds.
+    so far and a note. `policy`: all other thresholds. `price`: says what an effect costs in C
+    (`hallsym.codegen.price`); without it the `cost` of an effect is its parameters and signals.
 
     Raises `InputError` for a log that the model cannot have produced or with too few runs to hold any out.
     """
@@ -72,11 +74,12 @@ def diagnose(
         prepare(
             log, model, holdout=holdout, effects=effects, threshold=threshold, drop_bad=drop_bad,
             budget=budget, policy=policy, on_progress=on_progress,
-        )
+        ),
+        price,
     ).diagnosis  # fmt: skip
 
 
-def examine(setup: Setup) -> Examined:
+def examine(setup: Setup, price: Price | None = None) -> Examined:
     """Diagnose as `diagnose` does and return the fitted models too, which a page draws."""
     selection = select(setup)
     forget_candidates(selection.fit.base)
@@ -88,7 +91,7 @@ def examine(setup: Setup) -> Examined:
     found = validate(setup, selection)
     noise = noise_of_rest(found.counted, setup.runs)
     verdict = decide(setup, found, noise)
-    named = findings(setup, found)
+    named = findings(setup, found, price)
     quiet = verdict in QUIET
     confused = Confusable((), (), ()) if quiet else confusable(setup, found, named, verdict)
     diagnosis = report(setup, selection, found, named, verdict, confused, noise)

@@ -174,9 +174,10 @@ class FoundEffect:
 
     `shrinkage`: 1 - gap with it / gap without it, on runs that took part in neither fit nor choice;
     `interval`: as of `Shrinkage`, None too for a fault of the recording. `share`: part of the excess above
-    the noise floor that it closes. `p_value`: of its absence, corrected for all tests. `cost`: firmware cost.
-    `text`: the argument of `--effect`, empty for a fault of the recording. `at_bound`: parameters that ended
-    at a bound, without uncertainty. `note`: that, and the remedy of a fault.
+    the noise floor that it closes. `p_value`: of its absence, corrected for all tests. `cost`: what it adds
+    to the model and, where `diagnose` is given a `price`, to C. `text`: the argument of `--effect`, empty for
+    a fault of the recording. `at_bound`: parameters that ended at a bound, without uncertainty. `note`: that,
+    and the remedy of a fault.
     """
 
     name: str

@@ -9,7 +9,6 @@ from time import perf_counter
 
 import numpy as np
 
-from hallsym.codegen import cost_of
 from hallsym.diagnosis.decoded_errors import decoded_errors, waves
 from hallsym.diagnosis.faults import Fault, assignment_p, assignments
 from hallsym.diagnosis.localisation import Located, located, shape, sizes
@@ -45,7 +44,7 @@ from hallsym.diagnosis.validation import (
     unfounded,
 )
 from hallsym.diagnosis.words import SHOWN, gap_text, gap_unit, noise_text
-from hallsym.errors import InputError, counted, listed
+from hallsym.errors import counted, listed
 from hallsym.estimation.goodness_of_fit import ResidualNoise
 from hallsym.families import added_effects
 from hallsym.families.faults import ASSIGNMENT_FAULTS
@@ -348,7 +347,11 @@ def model_error(
 # -- what was found ------------------------------------------------------------------------------------------
 
 
-def findings(setup: Setup, found: Validation) -> tuple[FoundEffect, ...]:
+Price = Callable[[Model, Model, np.ndarray], str]
+"""Says what C costs, without an effect and with it at parameters (n,): `hallsym.codegen.price`."""
+
+
+def findings(setup: Setup, found: Validation, price: Price | None = None) -> tuple[FoundEffect, ...]:
     """Return the findings by share of the excess; a wrong channel assignment wins a tie.
 
     An effect that does not lower the error on the holdout runs is not a finding.
@@ -356,7 +359,7 @@ def findings(setup: Setup, found: Validation) -> tuple[FoundEffect, ...]:
     if found.metric >= found.before.metric:
         return ()
     spread = np.sqrt(np.maximum(np.diag(found.fit.covariance()), 0.0))
-    out = [_effect(found, e, spread) for e in found.effects]
+    out = [_effect(found, e, spread, price) for e in found.effects]
     scale, before = found.metric / found.after.metric, found.before.metric
     share = _share(found, (1 - scale**2) * found.after.metric**2)
     out += [_repaired(setup, fault, 1 - scale, share) for fault in found.faults]
@@ -366,7 +369,7 @@ def findings(setup: Setup, found: Validation) -> tuple[FoundEffect, ...]:
     return tuple(sorted(out, key=lambda e: -e.share))
 
 
-def _effect(found: Validation, validated: Validated, spread: np.ndarray) -> FoundEffect:
+def _effect(found: Validation, validated: Validated, spread: np.ndarray, price: Price | None) -> FoundEffect:
     score, fit = validated.exact.score, found.fit
     model, before = fit.base.model, validated.without.base.model
     stuck, unseen, values = fit.at_bound(), fit.unseen(), fit.values()
@@ -385,7 +388,7 @@ def _effect(found: Validation, validated: Validated, spread: np.ndarray) -> Foun
         shrinkage=validated.judged.value,
         interval=validated.judged.interval(),
         share=_share(found, validated.errors.metric**2 - found.after.metric**2),
-        cost=firmware_cost(before, model, fit.base.p),
+        cost=grown(before, model) + (f"; {price(before, model, fit.base.p)}" if price else ""),
         text=score.variant.text,
         at_bound=ended,
         note=" ".join(filter(None, (remark, _note(ended, blind)))),
@@ -442,23 +445,11 @@ def _share(found: Validation, squares: float) -> float:
     return float(np.clip(squares / excess, 0.0, 1.0))
 
 
-def firmware_cost(before: Model, after: Model, p: np.ndarray | None = None) -> str:
-    """Return in words what the step from one model to another adds: parameters, instructions, signals.
-
-    `p`: parameters of `after`, which decide how often a non-linear model is iterated; nominal by default.
-    """
-    shared = None
-    if p is not None:
-        shared = before.vector({n: v for n, v in after.named(p).items() if n in before.names})
-    try:
-        old, new = cost_of(before, shared), cost_of(after, p)
-        work = f"C about {old.instructions} -> {new.instructions} instructions"
-        work += f", parameter table {old.table} -> {new.table} B"
-    except InputError:
-        work = "no C is generated with it"
+def grown(before: Model, after: Model) -> str:
+    """Return in words what the step from one model to another adds: parameters, and signals to compute."""
     text = counted(len(after.parameters) - len(before.parameters), "parameter")
     signals = [c.name for c in after.computed if c.name not in before.state]
     if signals:
         some = ", ".join(signals[:SHOWN]) + (", ..." if len(signals) > SHOWN else "")
         text += f" and {counted(len(signals), 'signal')} to compute ({some})"
-    return f"{text}; {work}"
+    return text

@@ -8,12 +8,12 @@ from gap_twins import faulty, hidden, machine, unlisted
 from my_effects import speed_gain
 
 import hallsym
-from hallsym.codegen import cost_of
+from hallsym.codegen import cost_of, price
 from hallsym.diagnosis import Base, diagnose, load_effects
 from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.p_values import beyond
 from hallsym.diagnosis.refit import refit, with_model
-from hallsym.diagnosis.report import firmware_cost
+from hallsym.diagnosis.report import grown
 from hallsym.diagnosis.setup import base_of
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
@@ -204,9 +204,11 @@ def test_the_firmware_cost_counts_parameters_instructions_and_signals() -> None:
     assert cost_of(large).operations - cost_of(small).operations == 18
     assert cost_of(large).moves - cost_of(small).moves == 9
     a, b = cost_of(small).instructions, cost_of(large).instructions
-    said = firmware_cost(small, large)
-    assert said == f"9 parameters; C about {a} -> {b} instructions, parameter table 100 -> 136 B"
+    assert grown(small, large) == "9 parameters"
+    said = price(small, large, large.nominal)
+    assert said == f"C about {a} -> {b} instructions, parameter table 100 -> 136 B"
     late = effects(STAGE_FAMILY)["time_skew"](large)
-    listed = firmware_cost(large, late).removeprefix("1 parameter and 12 signals to compute (d1_x_ref_m, ")
+    listed = grown(large, late).removeprefix("1 parameter and 12 signals to compute (d1_x_ref_m, ")
     assert listed.count(",") == 2  # two more, and that there are others
-    assert listed.endswith(", ...); no C is generated with it")
+    assert listed.endswith(", ...)")
+    assert price(large, late, late.nominal) == "no C is generated with it"
