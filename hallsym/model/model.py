@@ -63,7 +63,7 @@ class Signals(dict):
         Raises `TypeError` if one is no expression, number or container: it may refer to these signals.
         """
         out = Signals(())
-        out.update({k: ca.SX(v) if isinstance(v, ca.SX) else mapped(v) for k, v in self.items()})
+        out.update({k: +v if isinstance(v, ca.SX) else mapped(v) for k, v in self.items()})
         out.derived, out.functions = dict(self.derived), dict(self.functions)
         return out
 
