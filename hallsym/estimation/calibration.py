@@ -480,6 +480,7 @@ class Fit(Shown, Fitted, kw_only=True, frozen=True, eq=False, dict=True, weakref
             "layout": [dict(part.entry) for part in model.layout],
             "zero_bounds": {z.name: (_number(z.lower), _number(z.upper)) for z in model.offsets},
             "log": structs.replace(self.log, sha256=self.sha256),
+            "errors": dict(self.error_rows),
         }
         return builtins({**said, **same, **said})
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -46,21 +47,40 @@ class ErrorTable:
 
 
 @dataclass(frozen=True, eq=False)
-class Errors:
-    """Error tables of the decoded pose: nominal parameters without zero deviations, and the fit."""
+class Errors(Mapping[str, "dict[str, dict[str, float]] | None"]):
+    """Error tables of the decoded pose, and rmse and peak of each row as `ErrorTable.over` gives them.
 
-    designed: ErrorTable
+    The row "designed" is of nominal parameters without zero deviations, over all runs; "fitted" and "holdout"
+    are of the fit, over theirs. `nominal()` returns the table of the first, which is made when it is asked.
+    """
+
     fitted: ErrorTable
     holdout: tuple[int, ...]
+    nominal: Callable[[], ErrorTable]
+
+    @cached_property
+    def designed(self) -> ErrorTable:
+        """Errors of nominal parameters without zero deviations."""
+        return self.nominal()
 
     def rows(self) -> dict[str, dict[str, dict[str, float]] | None]:
-        """Return rmse and peak: `designed` over all runs, `fitted` and `holdout` over theirs."""
-        used = [run for run in self.fitted.runs if run not in self.holdout]
-        return {
-            "designed": self.designed.over(),
-            "fitted": self.fitted.over(used),
-            "holdout": self.fitted.over(self.holdout),
-        }
+        """Return every row."""
+        return dict(self)
+
+    def __getitem__(self, row: str) -> dict[str, dict[str, float]] | None:
+        """Return one row; None of one without a run."""
+        if row == "designed":
+            return self.designed.over()
+        held = {"fitted": False, "holdout": True}[row]
+        return self.fitted.over([run for run in self.fitted.runs if (run in self.holdout) == held])
+
+    def __iter__(self) -> Iterator[str]:
+        """Yield the names of the rows."""
+        return iter(("designed", "fitted", "holdout"))
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return 3
 
 
 def nominal_variance(model: Model, reading_variance: np.ndarray) -> np.ndarray:
@@ -78,7 +98,7 @@ def decoder(model: Model, reading_variance: np.ndarray) -> Callable[..., np.ndar
     weight, repeats = 1.0 / np.asarray(reading_variance), bool(set(model.pose) & set(model.period))
 
     def decode(
-        p: np.ndarray, offsets: np.ndarray, readings: list, states: list, reference: np.ndarray | None = None
+        p: np.ndarray, offsets: np.ndarray, readings: list, states: list, reference: Sequence | None = None
     ) -> np.ndarray:
         with np.errstate(all="ignore"):  # impossible readings have no pose: nan
             if reference is None or not repeats:
@@ -155,9 +175,11 @@ def pose_errors(model: Model, reading_variance: np.ndarray) -> PoseErrors:
 
         def decoded(p: np.ndarray, offsets: np.ndarray, data: Mapping[str, np.ndarray]) -> np.ndarray:
             readings, states = ([data[c] for c in names] for names in (model.channels, model.state))
-            reference = np.array([data[c] for c in model.references])
+            reference = [data[c] for c in model.references]
             found = decode(p, offsets, readings, states, reference)
-            return np.subtract(found, reference, out=found)
+            for row, column in zip(found, reference, strict=True):
+                row -= column
+            return found
 
         return decoded
     read = on_arrays(model.reading)
@@ -216,19 +238,22 @@ def error_tables(
     on_rows: Callable[[int], None] | None = None,
     sigma: Mapping[str, float] | None = None,
     among: Collection[int] | None = None,
+    computed_at: np.ndarray | None = None,
 ) -> list[ErrorTable]:
     """Return one error table per version `(parameters, offsets by run)`, from one pass over the log.
 
     `reading_variance`: (K,), or (versions, K) where each version weighs readings in its own way.
     `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part. `sigma`: noise by
-    column, for the columns that are computed; those of parameters are taken at the last version's. `among`:
-    runs that are decoded, all by default.
+    column, for the columns that are computed; those of parameters are taken at `computed_at` (n,), by default
+    the last version's. `among`: runs that are decoded, all by default.
     """
     runs: list[int] = []
     counts: list[np.ndarray] = []
     sums: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in versions]
     span: dict[str, tuple[float, float]] = {}
-    for batch, decoded in _decoded(log, model, versions, reading_variance, sigma, on_rows, among):
+    at = versions[-1][0] if computed_at is None else computed_at
+    wide = extended(log, model, sigma, model.named(at))
+    for batch, decoded in _decoded(wide, model, versions, reading_variance, on_rows, among):
         weights, starts = batch.weights(keep), batch.edges[:-1]
         used = np.ones(len(batch), bool) if weights is None else weights > 0
         runs += batch.runs
@@ -262,15 +287,13 @@ def _decoded(
     model: Model,
     versions: Sequence[Version],
     reading_variance: np.ndarray,
-    sigma: Mapping[str, float] | None,
     on_rows: Callable[[int], None] | None = None,
     among: Collection[int] | None = None,
 ) -> Iterator[tuple[Batch, list[np.ndarray]]]:
-    """Yield the log in batches, each with the errors (n_pose, samples) of every version."""
+    """Yield a log with its computed columns in batches, each with the errors (n_pose, samples) by version."""
     variances = np.broadcast_to(reading_variance, (len(versions), len(model.channels)))
     errors_of, count = [pose_errors(model, v) for v in variances], len(model.offsets)
-    wide = extended(log, model, sigma, model.named(versions[-1][0]))
-    for whole in batches(wide, columns_of(model), on_rows):
+    for whole in batches(log, columns_of(model), on_rows):
         batch = whole if among is None else whole.of_runs(among)
         if not batch.runs:
             continue
@@ -298,7 +321,8 @@ def zero_shifts(
     """
     own = {c: model.period[c] for c in model.references if c in model.period}
     sums: dict[str, dict[int, complex]] = {c: {} for c in own}
-    for batch, (error,) in _decoded(log, model, [(p, offsets)], reading_variance, sigma) if own else ():
+    wide = extended(log, model, sigma, model.named(p))
+    for batch, (error,) in _decoded(wide, model, [(p, offsets)], reading_variance) if own else ():
         for column, period in own.items():
             turn = np.nan_to_num(np.exp(2j * np.pi / period * error[model.references.index(column)]))
             for run, total in zip(batch.runs, np.add.reduceat(turn, batch.edges[:-1]), strict=True):

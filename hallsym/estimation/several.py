@@ -208,7 +208,7 @@ def _record(
         held_out=held_out,
         log=structs.replace(fit.log, sha256=fit.sha256),
         runs=dict(numbers),
-        errors=fit.error_rows,
+        errors=dict(fit.error_rows),
         noise=fit.noise,
         parameters={n: Estimate(p.value, p.std, p.unit) for n, p in own.items()},
         residual_over_noise=fit.goodness.residual_over_noise if fit.goodness else None,
@@ -229,8 +229,8 @@ def _whole(
     holdout = tuple(known[r] for f, known in zip(fits, numbers, strict=True) for r in f.log.holdout)
     tables = [fit.errors for fit in fits if fit.errors]
     errors = Errors(
-        _tables([own.designed for own in tables], numbers), _tables([own.fitted for own in tables], numbers),
-        holdout,
+        _tables([own.fitted for own in tables], numbers), holdout,
+        lambda: _tables([own.designed for own in tables], numbers),
     )  # fmt: skip
     counts = np.array([fit.log.rows for fit in fits], dtype=float)
     floors = np.array([list(fit.noise_floor.values()) for fit in fits])
@@ -263,7 +263,7 @@ def _whole(
         goodness=goodness,
         notes=_notes(fits, numbers, sharing),
         errors=errors,
-        error_rows=errors.rows(),
+        error_rows=errors,
         keep=None,
         source=None,
         likelihood=None if sharing.own else solution.fitted,

@@ -23,6 +23,7 @@ from hallsym.estimation.calibration import (
 from hallsym.estimation.covariance import Uncertainty, uncertainty
 from hallsym.estimation.decoding import (
     Errors,
+    ErrorTable,
     error_tables,
     knows_rails,
     logged_columns,
@@ -271,16 +272,23 @@ class Task:
 
     def errors(self, state: Solution, keep: Weigh | None) -> Errors:
         """Return the errors before and after; `keep`: weight of each sample."""
-        versions = [(designed(self.model, state.p), {}), (state.p, state.offsets())]
+        versions = [(state.p, state.offsets()), (designed(self.model, state.p), {})]
         variance = state.fitted.reading_variance
-        variance = np.array([nominal_variance(self.model, variance), variance])
-        say = self.counting("tabulating errors")
-        try:
-            before, after = error_tables(self.log, self.model, versions, variance, keep, say, self.noise.std)
+        variances = np.array([variance, nominal_variance(self.model, variance)])
+
+        def tables(which: slice) -> list[ErrorTable]:
+            say = self.counting("tabulating errors")
+            return error_tables(
+                self.log, self.model, versions[which], variances[which], keep, say, self.noise.std,
+                computed_at=state.p,
+            )  # fmt: skip
+
+        try:  # in memory a further pass costs no more; else a file is read again
+            fitted, *nominal = tables(slice(1 if self.log.table.in_memory else 2))
         except InputError as error:
             said = self.goodness(state).sentence
             raise InputError(f"{said.partition('; next')[0]}; {error}" if said else error) from error
-        return Errors(before, after, self.holdout)
+        return Errors(fitted, self.holdout, lambda: (nominal or tables(slice(1, 2)))[0])
 
     def suspicious(self, state: Solution, errors: Errors) -> bool:
         """Return whether some error is too large for the noise floor."""
@@ -463,7 +471,7 @@ def fit_of(
         columns=dict(task.log.table.mapping),
         read_with=dict(task.log.table.source.read_with),
         versions=dict(versions_used()),
-        error_rows=errors.rows() if errors else {},
+        error_rows=errors or {},
     )
 
 

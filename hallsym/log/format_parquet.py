@@ -30,6 +30,7 @@ class ParquetSource(Timed):
             group = file.metadata.row_group(0) if file.metadata.num_row_groups else None
             known = [group.column(k).statistics for k in range(group.num_columns)] if group else []
         self.filled = all(one is not None and one.null_count == 0 for one in known)
+        self.typed = self.filled and all(map(is_numeric, schema.types))
         self.small = self.rows <= IN_MEMORY_ROWS
         times = {k: "" for k, kind in enumerate(schema.types) if is_time(kind)}
         self.take(stems_of(distinct(schema.names, quoted(path))), times, quoted(path))

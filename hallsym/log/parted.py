@@ -205,7 +205,7 @@ def by_signal(source: Source, where: str) -> Source:
     if not (2 if source.pace else 3) <= len(source.names) <= MOST_NAMES:
         return source
     words = {name: re.findall(r"[^\W_\d]+", split_header(name)[0].lower()) for name in source.names}
-    numeric = all(any(map(is_number, cells)) for cells in _head(source).values())
+    numeric = source.typed or all(any(map(is_number, cells)) for cells in _head(source).values())
     if numeric and not any(LABELS.fullmatch(word) for own in words.values() for word in own):
         return source  # without more rows: no column can be one of names
     head = _head(source, LOOKED_AT)

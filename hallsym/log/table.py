@@ -36,7 +36,8 @@ class Source(ABC):
     stated. `read_with`: the options that it was read with, by name. `path`: where the file is on a disk.
     `since`: what the times count from that its format gives. `clocks`: of columns of times, what knows the
     `moment` of their zero [ns since 1970] once they were read. `pace`: the sample interval, if it states one.
-    `filled`: whether the file says that no first cell is empty.
+    `filled`: whether the file says that no first cell is empty. `typed`: whether its types say that all
+    columns hold numbers.
     """
 
     names: tuple[str, ...]
@@ -53,6 +54,7 @@ class Source(ABC):
     clocks: Mapping[str, Any] = {}
     pace: Any = None
     filled: bool = False
+    typed: bool = False
 
     def count(self) -> int:
         """Return the number of rows; where it is not known before, all are read."""
