@@ -63,6 +63,7 @@ OPERATIONS: dict[int, tuple[str, Callable | None]] = {
 }
 """Implementation of each CasADi operation: it reads up to two registers and writes the last one."""
 
+UFUNCS = frozenset(operation for operation in BINARY.values() if isinstance(operation, np.ufunc))
 
 WORK, FEWEST = 4_000_000, 384
 """Largest number of values in memory at once, 32 MB, and least number of samples in a block.
@@ -92,6 +93,9 @@ def on_arrays(function: ca.Function) -> Callable[..., list[np.ndarray]]:
         for kind, op, a, b, target in zip(*program, strict=True):
             if kind == "binary":
                 work[target] = op(work[a], work[b])
+            elif kind == "result":
+                register, number, row = target
+                work[register] = op(work[a], work[b], out=out[number][row, ...])
             elif kind == "unary":
                 work[target] = op(work[a])
             elif kind == "input":
@@ -175,6 +179,9 @@ def _compile(function: ca.Function) -> tuple[list, ...]:
             raise NotImplementedError(f"operation {code} of {function.name()} has no array form")
         kind, operation = OPERATIONS[code]
         *read, target = *function.instruction_input(k), *function.instruction_output(k)
+        if kind == "output" and kinds[-1] == "binary" and targets[-1] == read[0] and operations[-1] in UFUNCS:
+            kinds[-1], targets[-1] = "result", (targets[-1], read[1], target)  # written to its place at once
+            continue
         kinds.append(kind)
         operations.append(float(function.instruction_constant(k)) if kind == "constant" else operation)
         first.append(of[read[0]] if read else 0)
