@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import comb
@@ -11,7 +11,7 @@ import numpy as np
 
 from hallsym.log.columns import RUN, is_moving
 from hallsym.log.core import Log, RunOrder
-from hallsym.log.table import CHUNK_ROWS
+from hallsym.log.table import CHUNK_ROWS, Piece
 from hallsym.units import Array
 
 FEWEST_SAMPLES = 8
@@ -132,7 +132,8 @@ def scan(log: Log, columns: Sequence[str]) -> Scan:
     own = tuple(name for name in columns if name != RUN)
     result = Scan({name: Trace() for name in own}, clock)
     order = RunOrder(log.name)
-    for piece in log.table.pieces((RUN, *own), CHUNK_ROWS):
+    wholes = log.table.pieces((RUN, *own), CHUNK_ROWS)
+    for piece in (part for whole in wholes for part in _parts(whole)):
         found = order.segments(piece[RUN])
         starts = np.array([start for _, start, _ in found], int)
         result.segments += [(run, stop - start) for run, start, stop in found]
@@ -142,6 +143,12 @@ def scan(log: Log, columns: Sequence[str]) -> Scan:
             clock.add(piece["t_s"], found, result.rows)
         result.rows += len(piece[RUN])
     return result
+
+
+def _parts(piece: Piece) -> Iterator[Piece]:
+    """Yield a piece of any length in parts that stay in the cache while they are looked at."""
+    for low in range(0, len(piece[RUN]), CHUNK_ROWS):
+        yield {name: values[low : low + CHUNK_ROWS] for name, values in piece.items()}
 
 
 def _extents(table: Array, counts: Array, pivot: float, starts: Sequence[int] | Array) -> Array:
