@@ -251,8 +251,8 @@ def error_tables(
     counts: list[np.ndarray] = []
     sums: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in versions]
     span: dict[str, tuple[float, float]] = {}
-    at = versions[-1][0] if computed_at is None else computed_at
-    wide = extended(log, model, sigma, model.named(at))
+    known = model.named(versions[-1][0] if computed_at is None else computed_at)
+    wide = extended(log, model, sigma, known)
     for batch, decoded in _decoded(wide, model, versions, reading_variance, on_rows, among):
         weights, starts = batch.weights(keep), batch.edges[:-1]
         used = np.ones(len(batch), bool) if weights is None else weights > 0

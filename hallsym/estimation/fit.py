@@ -1,7 +1,8 @@
 """Fit a model to a log: run statistics, starts, global search, refinement, uncertainty, error tables.
 
 The path is the same for every family: one pass over the log gives run statistics; a closed form and SHTLBO
-give starting points; Newton's method or IPOPT refines them inside the bounds; a second pass tabulates errors.
+give starting points; Newton's method or IPOPT refines them inside the bounds; a second pass tabulates the
+errors of the fit, and a third, when they are asked for, those of nominal parameters.
 """
 
 from collections.abc import Callable, Mapping, Sequence

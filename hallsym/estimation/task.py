@@ -276,15 +276,15 @@ class Task:
         variance = state.fitted.reading_variance
         variances = np.array([variance, nominal_variance(self.model, variance)])
 
-        def tables(which: slice) -> list[ErrorTable]:
-            say = self.counting("tabulating errors")
+        def tables(which: slice, say: Callable[[int], None] | None = None) -> list[ErrorTable]:
             return error_tables(
                 self.log, self.model, versions[which], variances[which], keep, say, self.noise.std,
                 computed_at=state.p,
             )  # fmt: skip
 
         try:  # in memory a further pass costs no more; else a file is read again
-            fitted, *nominal = tables(slice(1 if self.log.table.in_memory else 2))
+            at_once = slice(1 if self.log.table.in_memory else 2)
+            fitted, *nominal = tables(at_once, self.counting("tabulating errors"))
         except InputError as error:
             said = self.goodness(state).sentence
             raise InputError(f"{said.partition('; next')[0]}; {error}" if said else error) from error

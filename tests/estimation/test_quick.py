@@ -5,6 +5,7 @@ import pytest
 from twins import record, with_noise
 
 from hallsym.estimation import fit
+from hallsym.estimation.decoding import error_tables
 
 
 def test_a_log_in_order_is_fitted_without_error_tables():
@@ -12,6 +13,9 @@ def test_a_log_in_order_is_fitted_without_error_tables():
     whole, quick = (fit(log, "stage31", solver="direct", quick=q) for q in (False, True))
     assert quick.errors is None
     assert quick.error_rows == {}
+    assert "designed" not in vars(whole.errors)  # errors of nominal parameters are tabulated when asked for
+    (nominal,) = error_tables(log, whole.model, [(whole.model.nominal, {})], np.ones(3))
+    assert whole.to_dict()["errors"]["designed"] == nominal.over()
     # Newton's method ends where it promises less than 1e-12 of the cost, 1e4: a step of 1e-4 sigma at most
     assert np.abs((quick.values - whole.values) / whole.std)[whole.determined].max() < 1e-4
     assert quick.std == pytest.approx(whole.std, rel=1e-5, nan_ok=True)
