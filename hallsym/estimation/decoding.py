@@ -101,11 +101,10 @@ def decoder(model: Model, reading_variance: np.ndarray) -> Callable[..., np.ndar
         p: np.ndarray, offsets: np.ndarray, readings: list, states: list, reference: Sequence | None = None
     ) -> np.ndarray:
         with np.errstate(all="ignore"):  # impossible readings have no pose: nan
-            if reference is None or not repeats:
-                run = model.remember("decoded, on arrays", lambda: on_arrays(model.decoded))
-                return run(p, offsets, readings, states, weight)[0]
-            run = model.remember("decoded near, on arrays", lambda: on_arrays(model.decoded_near))
-            return run(p, offsets, readings, states, weight, reference)[0]
+            near = [reference] if repeats and reference is not None else []
+            form = "decoded_near" if near else "decoded"
+            run = model.remember(f"{form}, on arrays", lambda: on_arrays(getattr(model, form)))
+            return run(p, offsets, readings, states, weight, *near)[0]
 
     return decode
 

@@ -174,13 +174,6 @@ def test_meta_names_runs_to_hold_out(columns, found):
     same(fit(meta, "stage31", solver="direct", holdout=()), found)
 
 
-def test_impossible_holdouts_are_refused(log):
-    with pytest.raises(InputError, match="Holdout run 99"):
-        fit(log, "stage31", holdout=(99,))
-    with pytest.raises(InputError, match="All runs are holdout"):
-        fit(log, "stage31", holdout=range(57))
-
-
 # -- parameters ------------------------------------------------------------------------------------------
 
 
@@ -207,11 +200,6 @@ def test_every_parameter_fixed_is_a_fit_too(log, solver):
     result.to_dict()
 
 
-def test_bounds_that_exclude_the_start_are_refused(log):
-    with pytest.raises(InputError, match="exclude its start"):
-        fit(log, "stage31", parameters={"H1x": {"lower": 0.3}})
-
-
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -220,11 +208,14 @@ def test_bounds_that_exclude_the_start_are_refused(log):
         ({"model": "stage13"}, "did you mean"),
         ({"effects": ("hysteresi",)}, "did you mean 'hysteresis'"),
         ({"effects": ("hysteresis",)}, "hysteresis needs half_width_m"),
+        ({"holdout": (99,)}, "Holdout run 99"),
+        ({"holdout": range(57)}, "All runs are holdout"),
+        ({"parameters": {"H1x": {"lower": 0.3}}}, "exclude its start"),
     ],
 )
-def test_unknown_options_are_refused(log, options, said):
+def test_impossible_options_are_refused(log, options, said):
     with pytest.raises(InputError, match=said):
-        fit(log, **options)
+        fit(log, **{"model": "stage31", **options})
 
 
 # -- outliers --------------------------------------------------------------------------------------------
