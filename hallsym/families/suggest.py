@@ -26,9 +26,9 @@ REF, READING, RUN, TIME, ANGLE = "ref", "reading", "run", "t", "angle"
 _SAME: dict[str, tuple[str, ...]] = {
     REF: (
         "ref", "reference", "if", "ifm", "interferometer", "interf", "laser", "true", "cnc", "truth",
-        "actual", "referenz", "ist", "autocollimator", "激光", "参考",
+        "actual", "referenz", "ist", "autocollimator", "激光", "参考", "レーザー",
     ),
-    READING: ("hall", "sensor", "probe", "hs", "ch", "channel", "adc", "sonde", "霍尔"),
+    READING: ("hall", "sensor", "probe", "hs", "ch", "channel", "adc", "sonde", "霍尔", "ホール"),
     RUN: RUN_WORDS,
     TIME: TIME_WORDS,
     ANGLE: ("angle", "theta", "phi", "winkel", "rotation", "rot", "角度"),
@@ -37,7 +37,7 @@ _SAME: dict[str, tuple[str, ...]] = {
     "rx": ("rx", "roll", "tiltx", "wank"),
     "ry": ("ry", "pitch", "tilty", "nick"),
     "rz": ("rz", "yaw", "gier"),
-    "z": ("z", "height", "gap", "hoehe", "höhe", "luftspalt", "高度", "气隙"),
+    "z": ("z", "height", "gap", "hoehe", "höhe", "luftspalt", "高度", "气隙", "高さ"),
     "col": ("col", "column"),
     "temperature": ("temperature", "temp", "temperatur"),
     "current": ("current", "strom"),

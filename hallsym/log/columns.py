@@ -27,7 +27,7 @@ RUN = "run"
 RUN_WORDS = (
     "run", "pass", "scan", "sweep", "trial", "segment", "lauf", "fahrt", "messung", "measurement", "次数",
 )  # fmt: skip
-TIME_WORDS = ("t", "time", "timestamp", "zeit", "clock", "elapsed", "temps", "时间")
+TIME_WORDS = ("t", "time", "timestamp", "zeit", "clock", "elapsed", "temps", "时间", "時間")
 """Usual names of runs, and of the time."""
 T = "t"
 """Name of the time in a log, without its unit, and of times that a format gives."""
@@ -478,6 +478,9 @@ _SURE = {
 """Units that are no words: x um is x in micrometres, Hall A and y min are names."""
 
 
+_SAID = re.compile("(?:unit|einheit)s?[:=] *", re.IGNORECASE)
+
+
 def unit_of(text: str) -> str | None:
     """Return hallsym's name of a unit as people write it; None for what is none.
 
@@ -485,6 +488,7 @@ def unit_of(text: str) -> str | None:
     ('um', 'deg', 'mv', None)
     """
     plain = unicodedata.normalize("NFKC", text).strip().replace("μ", "u").replace("º", "°")
+    plain = _SAID.sub("", plain)
     for left, right in ("[]", "()", "{}", "<>"):
         if plain.startswith(left) and plain.endswith(right):
             plain = plain[1:-1].strip()

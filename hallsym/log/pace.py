@@ -13,14 +13,15 @@ from hallsym.log.table import TIME, Source, about
 from hallsym.units import UNITS, Array, split_unit
 
 _SAMPLING = (
-    "(?:sampl(?:e|es|ing)|scan|daq|acquisition|data|log(?:ging)?|record(?:ing)?|abtast|horiz(?:ontal)?)"
+    "(?:sampl(?:e|es|ing)|scan|daq|acquisition|data|log(?:ging)?|record(?:ing)?|abtast|horiz(?:ontal)?"
+    "|cycle|zyklus|サンプリング|采样)"
 )
 _STEP = re.compile(
-    rf"d[tx]|delta[tx]|ts|(?:wf|x)inc(?:r|rement)?|{_SAMPLING}(?:intervall?|period|step|spacing)"
-    "|time(?:step|interval|increment)|sampl(?:e|ing)time|abtastzeit|cycletime|zykluszeit"
+    rf"d[tx]|delta[tx]|ts|(?:{_SAMPLING}|wf|[tx]|time)(?:inter?vall?|period|step|spacing|inc(?:r|rement)?)"
+    rf"|{_SAMPLING}(?:time|zeit|周期|间隔)"
 )
 _RATE = re.compile(rf"fs|{_SAMPLING}(?:frequency|freq|frequenz|clock)|{_SAMPLING}?rate")
-_START = re.compile("wfstartoffset|[tx]0")
+_START = re.compile("wfstartoffset|[tx](?:0|start)")
 _VALUE = re.compile(r"\s*([-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?)[\s;,]*([^\d\s;,]\S*)?")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
@@ -199,8 +199,9 @@ def by_signal(source: Source, where: str) -> Source:
     """Return the signals of a table with a row per value (time, name or channel, value) as columns.
 
     Columns that are the same throughout, or for each name, are left out; one of these may state units. Of
-    several times that with most values is kept. Any other table is returned as it is: one with more than one
-    column of names, or of numbers beside time, run and a count of rows where none is called a value.
+    several times that with most values is kept. Any other table is returned as it is: one with columns of
+    names that do not go together, or of numbers beside time, run and a count of rows where none is called a
+    value.
     """
     if not (2 if source.pace else 3) <= len(source.names) <= MOST_NAMES:
         return source
@@ -225,16 +226,29 @@ def by_signal(source: Source, where: str) -> Source:
     if not names:
         return source
     stamps = stamps or [n for n in free if (_steps(head[n]) >= 0).all()][:1]
-    name = max(names, key=lambda n: kinds[n])
-    seen = len(set(head[name]))
-    varying = [n for n in head if len({*zip(head[n], head[name], strict=True)}) > seen]
-    numbers = [n for n in varying if n in free and n not in (name, *stamps)]
-    numbers = [n for n in numbers if len(numbers) == 1 or any(map(VALUES.fullmatch, words[n]))]
-    if len(numbers) != 1 or any(n in varying for n in names if n != name):
+    of_units = next((n for n in texts if "unit" in n.lower() and all(map(unit_of, head[n]))), None)
+    names = sorted((n for n in names if n != of_units), key=lambda n: (n not in texts, -kinds[n])) or names
+    keys = names[:1]
+    for n in names[1:]:  # device and axis: words that go with a name, or each of which has them all
+        both = Counter(zip(*(head[key] for key in (*keys, n)), strict=True))
+        varies = len(both) > _pairs(head, keys)
+        if varies and max(both.values()) - min(both.values()) > 1:
+            return source
+        keys += [n] if varies or n in texts else []
+    seen = _pairs(head, keys)
+    varying = [n for n in head if _pairs(head, [*keys, n]) > seen]
+    numbers = [n for n in varying if n in free and n not in (*keys, *stamps)]
+    for chosen in (
+        lambda n: any(map(VALUES.fullmatch, words[n])),
+        lambda n: not all(map(str.isdecimal, head[n])),
+    ):
+        numbers = [n for n in numbers if len(numbers) == 1 or chosen(n)]  # raw and physical values
+    if len(numbers) != 1:
         return source
-    labels, (value,) = np.array(source.labels(name)), numbers
+    parts = [source.labels(n) for n in head if n in keys]
+    labels, (value,) = np.array([*map(" ".join, zip(*parts, strict=True))]), numbers
     unit, signals = source.units.get(value) or split_unit(value)[1], list(dict.fromkeys(labels))
-    one_quantity = unit and not (stamps and any(map(LABELS.fullmatch, words[name])))
+    one_quantity = unit and not (stamps and any(map(LABELS.fullmatch, words[keys[0]])))
     if not 2 <= len(signals) <= len(labels) / 2 or one_quantity:
         return source
     beside = {n: n if _is_clock(source, n) else T for n in stamps[:1]} | dict.fromkeys(runs, RUN)
@@ -242,8 +256,9 @@ def by_signal(source: Source, where: str) -> Source:
     times = [data[stamps[0]][own] for own in mine.values()] if stamps else []
     if times and max(map(np.min, times)) > min(map(np.max, times)):
         return source  # devices one after the other
-    units = _units_of(source, head, [n for n in texts if n not in varying], labels)
-    called = [label if name in texts else f"{name} {label}" for label in signals]
+    cells = source.texts(of_units) if of_units and of_units not in varying else None
+    units = {s: u for s, cell in zip(labels, cells or (), strict=False) if (u := unit_of(str(cell)))}
+    called = [label if keys[0] in texts else f"{keys[0]} {label}" for label in signals]
     found = stems_of(called, [units.get(label, source.units.get(value)) for label in signals], where)
     parts = dict[str, dict[str, tuple[str, Array]]]()
     for (stem, (_, unit)), own in zip(found.items(), mine.values(), strict=True):
@@ -254,6 +269,11 @@ def by_signal(source: Source, where: str) -> Source:
     return made
 
 
+def _pairs(head: Mapping[str, Sequence[str]], names: Sequence[str]) -> int:
+    """Return how many different rows columns have together."""
+    return len({*zip(*(head[n] for n in names), strict=True)})
+
+
 def _steps(cells: Sequence[str]) -> Array:
     """Return the steps between a column's first numbers, nan beside other cells."""
     return np.diff(np.array([as_float(cell, POINT) for cell in cells], float))
@@ -262,12 +282,3 @@ def _steps(cells: Sequence[str]) -> Array:
 def _counts(cells: Sequence[str]) -> bool:
     """Say whether a column is 0, 1, 2, ... or another such number of the row."""
     return all(cell.isdecimal() for cell in cells) and bool((_steps(cells) == 1).all())
-
-
-def _units_of(
-    source: Source, head: Mapping[str, Sequence[str]], texts: Sequence[str], labels: Array
-) -> dict[str, str]:
-    """Return the units of signals, by label, where a column holds nothing but units."""
-    stated = next((n for n in texts if "unit" in n.lower() and all(map(unit_of, head[n]))), None)
-    cells = source.texts(stated) if stated else None
-    return {s: u for s, cell in zip(labels, cells or (), strict=False) if (u := unit_of(str(cell)))}

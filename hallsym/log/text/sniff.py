@@ -217,10 +217,17 @@ class Split:
             and all(is_number(cell) for row in rows for cell in row[words:LOOKED_AT])
         )
 
+    @property
+    def numbered(self) -> bool:
+        """Whether rows begin with their number, over which R and pandas write no name."""
+        cells = [row[0] for row in self.rows[self.data :] if len(row) == self.width]
+        first = int(cells[0]) if cells and cells[0].isdecimal() else 2
+        return first < 2 and cells == [str(k) for k in range(first, first + len(cells))]
+
     def _as_names(self, k: int) -> tuple[int, int, int]:
         """How well a line serves as names: different cells, those with a unit, its number."""
         row = self.rows[k]
-        return min(len(set(row)), self.width), sum(bool(split_header(cell)[1]) for cell in row), k
+        return min(len({*row} - {""}), self.width), sum(bool(split_header(cell)[1]) for cell in row), k
 
     @property
     def names(self) -> list[str]:
@@ -312,7 +319,9 @@ def sniffed(
         first += 1
     if not units and first < len(lines):
         units = [unit_behind(cell) or "" for cell in split(written[first].text, table.delimiter)]
-    names = [*table.names, *[""] * (table.width - len(table.names) == 1 and table.trailing)]
+    names = [*table.names]
+    if table.width - len(names) == 1 and (table.trailing or table.numbered):
+        names.insert(len(names) if table.trailing else 0, "")
     for k, group in enumerate(table.groups):
         names[k] = f"{group} {names[k]}" if group and not quantity(split_unit(names[k])[0]) else names[k]
     stems = stems_of(names, list(map(unit_of, units)), where)
@@ -477,6 +486,8 @@ _LATIN = re.compile(
     rb"[\x80-\xa0]|(?<=[a-z])[\xa1-\xfe]+(?=[a-z])|(?<![\xa1-\xfe])(?:[\xa1-\xfe]{2})*[\xa1-\xfe](?![\xa1-\xfe])"
 )
 """Bytes that Chinese characters do not have, which come in pairs and in no word: a letter alone, `Größe`."""
+_KANA = re.compile(rb"(?:\x82[\x9f-\xf1]|\x83[\x40-\x96]){2}")
+"""Two characters of Japanese in a row, of which Chinese and Latin ones have no bytes."""
 _WIDE, _NARROW = 0.6, 0.1
 """Share of null bytes at even (odd) places above which text is UTF-16; nearly all are."""
 
@@ -509,7 +520,7 @@ class Encoded:
         A bad byte of UTF-8 is judged with the cell it stands in. `where` names the file in messages. Raises
         `InputError` for a line that does not end, before it fills the memory.
         """
-        errors = "replace" if self.encoding in ("utf-8", "gb18030") else "strict"
+        errors = "replace" if self.encoding in ("utf-8", "gb18030", "cp932") else "strict"
         with io.TextIOWrapper(self.raw(), self.encoding, errors) as reader:
             for _ in range(above):
                 reader.readline(LONGEST_LINE)
@@ -546,4 +557,5 @@ def _encoding(head: bytes) -> str:
         return "utf-8"
     except UnicodeDecodeError:
         pass
-    return "latin-1" if _LATIN.search(head[: head.rfind(b"\n")]) else "gb18030"
+    whole = head[: head.rfind(b"\n")]
+    return "cp932" if _KANA.search(whole) else "latin-1" if _LATIN.search(whole) else "gb18030"
