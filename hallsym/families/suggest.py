@@ -16,7 +16,7 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.families import FAMILIES, build, default_model, family_called
 from hallsym.log import Meta
-from hallsym.log.columns import RUN_WORDS, TIME_WORDS, limit_of
+from hallsym.log.columns import RUN_WORDS, TIME_WORDS, UNNAMED, limit_of
 from hallsym.log.table import Source
 from hallsym.model import Model
 from hallsym.output import printable, toml_text
@@ -79,8 +79,6 @@ def _apart(word: str) -> tuple[str, ...]:
     return (word,)
 
 
-UNNAMED = re.compile(r"unnamed_\d+|\(column \d+\)|column_\d+")
-"""Columns without a name, by their place."""
 _KINDS = frozenset({REF, READING, "col"})
 """Words of names that say what numbered columns are."""
 
@@ -108,7 +106,7 @@ def series_of(names: Iterable[str]) -> list[dict[str, int]]:
     return [{each[number]: place for place, number in enumerate(sorted(each))} for each in several]
 
 
-def _places(names: Iterable[str], model: Model) -> dict[str, str]:
+def _places(sets: Sequence[Mapping[str, int]], model: Model) -> dict[str, str]:
     """Return the stems of numbered names of a file: a set is as large as one of channels, references, state.
 
     A set whose words say that it is references, or readings, is no other; one without such words is taken
@@ -117,7 +115,6 @@ def _places(names: Iterable[str], model: Model) -> dict[str, str]:
     stems = [[split_unit(c)[0] for c in of] for of in (model.channels, model.references, _measured(model))]
     one_set = len({re.sub(r"(?<![a-z])[a-z]$|\d+", "", stem) for stem in stems[0]}) == 1
     free, found = {k: own for k, own in enumerate(stems) if k or one_set}, dict[str, str]()
-    sets = series_of(names)
     words = [frozenset().union(*map(words_of, each)) & _KINDS for each in sets]
     for each, own in sorted(zip(sets, words, strict=True), key=lambda pair: not pair[1]):
         wanted = [1] if REF in own else [0] if own else [*free] if words.count(own) == 1 else []
@@ -383,8 +380,8 @@ def _models(source: Source, data: Mapping[str, Array], name: str | None, meta: M
     there are numbered columns.
     """
     own = tuple(si_name(n) for n in source.names if _own(n))
-    sets = series_of(n for n in data if not _behaves(RUN, data[n]))
-    sets = [each for each in sets if len(each) <= MOST_COLUMNS]
+    sets = [each for each in _series(data) if len(each) <= MOST_COLUMNS]
+    sets = [each for each in sets if words_of(next(iter(each))) & _KINDS or _overlap(map(data.get, each))]
     kinds = [{UNITS[u].si for n in each if (u := _stated(source, n))} for each in sets]
     stated, found = name or meta.base_model, list[Model]()
     for default in [stated] if stated else [family.default for family in FAMILIES]:
@@ -399,6 +396,20 @@ def _models(source: Source, data: Mapping[str, Array], name: str | None, meta: M
                 with suppress(InputError):  # not a form of it
                     found.append(build(default, meta=replace(meta, columns=columns)))
     return found
+
+
+def _series(data: Mapping[str, Array]) -> list[dict[str, int]]:
+    """Return the sets of numbered columns (`series_of`) that are neither runs nor times."""
+    return series_of(n for n, x in data.items() if not (_behaves(RUN, x) or _behaves(TIME, x)))
+
+
+def _overlap(columns: Iterable[Array]) -> bool:
+    """Say whether columns move together as readings of one field: in two directions, or in few of many."""
+    moving = np.array([x for x in columns if np.isfinite(x).all() and np.ptp(x) > 0])
+    if len(moving) < 2:
+        return False
+    largest = np.linalg.eigvalsh(np.corrcoef(moving))[::-1][: max(2, len(moving) // 4)]
+    return bool(largest.sum() >= MOVES**2 * len(moving))
 
 
 # -- by name ---------------------------------------------------------------------------------------------
@@ -418,7 +429,7 @@ def _matched(source: Source, data: Mapping[str, Array], model: Model) -> list[tu
     stems = _stems(model)
     paths = {name: path for path, name in source.aliases.items()}  # Hall/A
     own = {name: o if (o := _own(name)) in (RUN, TIME, *stems, *OTHERS) else "" for name in data}
-    series, pairs = _places((n for n in data if not _behaves(RUN, data[n])), model), []
+    series, pairs = _places(_series(data), model), []
     for stem in (RUN, TIME, *stems, *OTHERS):
         for name, values in data.items():
             if own[name] not in ("", stem, stem.removesuffix("_ref")):
@@ -621,14 +632,18 @@ def _by_readings(
     if len(data) > MOST_COLUMNS and not mine:
         return list(named)
     free = [n for n in data if n not in {g.theirs for g in named} and not _own(n) and np.ptp(data[n]) > 0]
-    free = [n for n in free if _unit_fits(source, n, stem, model) and not _behaves(RUN, data[n])]
+    volts = {UNITS[u].si if (u := _stated(source, n)) else "" for n in free} == {"v"}  # of an oscilloscope
+    free = [n for n in free if (volts or _unit_fits(source, n, stem, model)) and not _behaves(RUN, data[n])]
     followed = []
     few = {name: values[:: -(-len(values) // TRIED)] for name, values in data.items()}
     for guess in mine or [_with_unit(source, data[n], Guess(stem, n, (), ""), model) for n in free]:
         if guess.counts_per_turn:
             tried = [replace(guess, counts_per_turn=1 << bits) for bits in BITS]
         else:
-            tried = [replace(guess, units=(u.name,), raw="") for u in UNITS.values() if u.si == "rad"]
+            tried = [
+                replace(guess, units=(u.name,), raw="", scale=None) for u in UNITS.values() if u.si == "rad"
+            ]
+            tried += [guess] if guess.scale else []
         others = [
             x for name, x in few.items() if name != guess.theirs and np.isfinite(x).all() and np.ptp(x) > 0
         ]
@@ -659,7 +674,7 @@ def _left_over(expected: Mapping[str, Array], columns: Sequence[Array]) -> float
 def _si(values: Array, guess: Guess) -> Array:
     unit = UNITS[guess.unit]
     factor = 2 * np.pi / guess.counts_per_turn if guess.counts_per_turn else unit.factor
-    return np.asarray(factor * values + unit.offset)
+    return np.asarray(factor * (guess.scale or 1.0) * values + unit.offset)
 
 
 def _readings(model: Model, known: Mapping[str, Array]) -> dict[str, Array]:

@@ -274,8 +274,10 @@ def _columns_of(data: Any, where: str) -> Iterator[tuple[str, Any]]:
         table = arrow.RecordBatchReader.from_stream(data).read_all()
     except (arrow.ArrowException, TypeError, ValueError) as error:
         raise InputError(f"{where} must be a table of columns; it is none ({error}).") from error
-    columns = dict(zip(distinct(table.column_names, where), table.columns, strict=True))
-    if not any(arrow.types.is_nested(column.type) for column in columns.values()):
+    types, columns = arrow.types, dict(zip(distinct(table.column_names, where), table.columns, strict=True))
+    for name in [name for name, column in columns.items() if types.is_dictionary(column.type)]:  # categories
+        columns[name] = columns[name].cast(columns[name].type.value_type)
+    if not any(types.is_nested(column.type) for column in columns.values()):
         return iter(columns.items())
     one = table.num_rows == 1
     if not one:  # lists of samples may stand within records

@@ -47,6 +47,8 @@ def is_run_word(name: str) -> bool:
     return not {*RUN_WORDS}.isdisjoint(re.split(r"[\W_]", name.lower()))
 
 
+UNNAMED = re.compile(r"unnamed_\d+|\(column \d+\)|column_\d+")
+"""Columns without a name, by their place."""
 _OPEN = re.compile(r"^# (\w+) = ", re.MULTILINE)
 
 

@@ -68,9 +68,10 @@ class ParquetSource(Timed):
 
 
 def open_parquet(path: Path) -> Source:
-    """Open a Parquet file; one whose columns hold lists or records is read whole."""
-    source = ParquetSource(path)
-    if not source.small or not any(load("pyarrow").types.is_nested(field.type) for field in source.fields):
+    """Open a Parquet file; one whose columns hold lists, records or categories is read whole."""
+    source, types = ParquetSource(path), load("pyarrow").types
+    kinds = [field.type for field in source.fields]
+    if not source.small or not any(types.is_nested(kind) or types.is_dictionary(kind) for kind in kinds):
         return source
     return source_of(load("pyarrow.parquet").read_table(path), quoted(path))
 

@@ -143,22 +143,28 @@ def _texts(arrays: Mapping[str, Stored], opened: Opened) -> tuple[tuple[str, ...
 def _called(
     vectors: Mapping[str, Vector], arrays: Mapping[str, Stored], by: str, opened: Opened
 ) -> dict[str, Vector]:
-    """Return vectors that lie alone in a group beside their name and unit as words, by that name."""
+    """Return vectors that lie alone in a group beside their name and unit as words, by that name.
+
+    So are those of one stem a group: `block1_values` is called as `block1_items` says.
+    """
     said, lengths = defaultdict[str, dict[str, str]](dict), defaultdict[str, list[int]](list)
     with opened() as file:
         for path, array in arrays.items():
             if math.prod(array.shape) == 1 and array.dtype.kind in "SUO":
-                group, _, key = path.rpartition(by)
-                said[group][key.lower()] = "".join(words_of(array.find(file, "")[()]))
+                for group, _, key in (path.rpartition(by), path.rpartition("_")):
+                    said[group][key.lower()] = "".join(words_of(array.find(file, "")[()]))
     for path, vector in vectors.items():
         lengths[path.rpartition(by)[0]].append(vector.rows)
     found = dict[str, Vector]()
     for path, vector in vectors.items():
         group, rows = path.rpartition(by)[0], vector.rows
-        if said[group] and rows == max(lengths[group]) > 1 == lengths[group].count(rows):
-            name = said[group].get("label") or said[group].get("name")
-            path = by.join(filter(None, (group.rpartition(by)[0], name))) if name else path
-            vector = vector._replace(unit=vector.unit or unit_in(said[group]))
+        alone = rows == max(lengths[group]) > 1 == lengths[group].count(rows)
+        known = said[group] if alone else said[path.rpartition("_")[0]]
+        name = next((known[key] for key in ("label", "name", "items") if known.get(key)), "")
+        if known:
+            above = group.rpartition(by)[0] if alone else group
+            path = by.join(filter(None, (above, name))) if name else path
+            vector = vector._replace(unit=vector.unit or unit_in(known))
         found[path] = vector
     return found
 
