@@ -98,13 +98,18 @@ def open_json(path: Path) -> Memory:
     with arrow.input_stream(str(path)) as stream:  # which may be compressed
         text = stream.read()
     try:
-        whole, facts = _rows(json.loads(text))
+        whole, facts = _rows(json.loads(text, object_hook=_listed))
         table = arrow.Table.from_pylist(whole if isinstance(whole, list) else [whole])
     except json.JSONDecodeError:  # several objects
         table = load("pyarrow.json").read_json(arrow.BufferReader(text))
     source = source_of(table, quoted(path))
     source.pace = pace_in(facts)
     return source
+
+
+def _listed(whole: dict[str, Any]) -> Any:
+    """Return a list in the place of an object whose keys count, as pandas writes a column."""
+    return [*whole.values()] if len(whole) > 1 and all(map(str.isdecimal, whole)) else whole
 
 
 def _rows(whole: Any) -> tuple[Any, dict[str, Any]]:

@@ -219,10 +219,10 @@ class Split:
 
     @property
     def numbered(self) -> bool:
-        """Whether rows begin with their number, over which R and pandas write no name."""
-        cells = [row[0] for row in self.rows[self.data :] if len(row) == self.width]
-        first = int(cells[0]) if cells and cells[0].isdecimal() else 2
-        return first < 2 and cells == [str(k) for k in range(first, first + len(cells))]
+        """Whether rows begin with their number, over which R and pandas write no name, or with nothing."""
+        cells = [row[0] for row in self.rows[self.data :] if len(row) == self.width > 1]
+        counted = ([str(k + first) for k in range(len(cells))] for first in (0, 1))
+        return bool(cells) and (not any(cells) or cells in counted)
 
     def _as_names(self, k: int) -> tuple[int, int, int]:
         """How well a line serves as names: different cells, those with a unit, its number."""
@@ -275,7 +275,7 @@ LAST = 20
 """Lines at the end of a text that are looked at for words about the table."""
 _COMMENTS = ("#", "%", "//", "!")
 _SEP = re.compile(r"sep=(.)", re.IGNORECASE)
-_WORD = re.compile(r"[^\W\d_]\w+")
+_WORD = re.compile(r"[^\W\d_][\w ]")
 _BEGINS = re.compile(rf"[\s\"']*(?:{_WORD.pattern}|\*)")
 
 
@@ -310,7 +310,7 @@ def sniffed(
             rewritten = "\n".join([*head, *map("\t".join, zip(*channels, strict=True)), ""])
             found = sniffed(Encoded(rewritten.encode()), f"{where}, transposed", "\t", decimal, sheet)
             return replace(found, said=f"a channel in each line, transposed: {found.said}", usual=False)
-    if table.top < 0 or abs(len(table.names) - table.width) > 1:
+    if table.top < 0 or not -1 <= len(table.names) - table.width <= 0:
         lines = _with_names(lines, table)
         written, table = lines, _table(lines[:MOST], table.delimiter, where)
     first, units_line, units = table.units(lines)
@@ -333,7 +333,9 @@ def sniffed(
     quoted = any(counts) and not any(count % 2 for count in counts)  # quotes around cells are two in a line
     numbers = _numbers(body, "" if quoted else table.delimiter, decimal, where)
     remarks = []
-    if body and is_number(body[0][0]):  # a first column of words looks like words
+    times = _times(body)
+    first_cell = next(filter(None, body[0]), "") if body else ""
+    if 0 in times or is_number(first_cell):  # a first column of words looks like words
         ends = text.end.rstrip("\n").split("\n")[1:][-LAST:]
         seen = [
             line
@@ -359,7 +361,7 @@ def sniffed(
         text, table.delimiter, stems, below[0].number if below else lines[-1].number + 1, numbers, marks,
         quoted, bool(remarks),
         not text.end.endswith("\n") and text.end.strip().rpartition("\n")[2] not in remarks,
-        _times(body), tuple(spelled), repeated, heads, _facts(lines[:first]),
+        times, tuple(spelled), repeated, heads, _facts(lines[:first]),
         ", ".join(said), usual=plain and not (units_line or remarks or above or spelled or settings),
     )  # fmt: skip
 
@@ -409,7 +411,8 @@ def _table(lines: Sequence[Line], delimiter: str | None, where: str) -> Split:
 
 
 def _with_names(lines: Sequence[Line], table: Split) -> list[Line]:
-    """Return lines of numbers below one of names that stand in a line each: `# NAME0 = Hall A (um)`.
+    """Return lines of numbers below one of names that stand in a line each, `# NAME0 = Hall A (um)`, or in
+    one whose cells are separated otherwise: `# columns: t, x, y`.
 
     Numbers below no names at all are `unnamed_0` to `unnamed_k`.
     """
@@ -417,7 +420,10 @@ def _with_names(lines: Sequence[Line], table: Split) -> list[Line]:
     series = defaultdict[str, list[str]](list)
     for name, value in _facts(lines[:at]).items():
         series[re.sub(r"\d+", "", name)].append(re.sub(r"\s+(?![(\[])", "_", value))
-    names = next((own for own in series.values() if len(own) == len({*own}) == table.width > 1), [])
+    for line, by in ((line.text, by) for line in reversed(lines[:at]) for by in DELIMITERS):
+        series[f"{by}{line}"] = [re.split(r"[:\t]\s*", cell)[-1] for cell in split(line, by)]
+    widths = {table.width, table.width - table.numbered} - {0, 1}
+    names = next((own for own in series.values() if len(own) == len({*own}) and len(own) in widths), [])
     if not names or any(map(is_number, names)):
         if table.top >= 0:
             return [*lines]
