@@ -396,9 +396,6 @@ LIMITS = (
     Limit(r"temperature\w*_degc", 500.0, "a machine warms", ("k",), 200.0, 200.0),
 )
 
-_FASTEST = {"m": 100.0, "rad": 1e5}
-"""m/s and rad/s that no reference moves at: a thousand times a stage, a million revolutions a minute."""
-
 _READING = re.compile(r"([xy]\d+_)?(hall|col|row|v)_\w+_(m|v|t|count)|hall\d+_(v|t|count)|angle_rad")
 _REFERENCE = re.compile(r"([xyz]|r[xyz]|angle)_ref_(m|rad)")
 _POSE = re.compile(r"(z|r[xy])_(m|rad)")
@@ -431,12 +428,6 @@ def has_meaning(column: str) -> bool:
 def limit_of(column: str) -> Limit | None:
     """Return the limit of a column's span, if there is one."""
     return next((limit for limit in LIMITS if re.fullmatch(limit.pattern, column)), None)
-
-
-def fastest(column: str) -> float:
-    """Return the speed, in the column's SI unit per second, that no motion has."""
-    unit = split_unit(column)[1]
-    return _FASTEST.get(unit.si, math.inf) if unit else math.inf
 
 
 # -- names with units, as headers have them ----------------------------------------------------------------

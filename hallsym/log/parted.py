@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from itertools import islice, pairwise
+from itertools import pairwise
 
 import numpy as np
 
@@ -13,7 +13,6 @@ from hallsym.errors import InputError
 from hallsym.log.columns import (
     RUN,
     RUN_WORDS,
-    UNNAMED,
     T,
     is_run_word,
     is_time_word,
@@ -74,9 +73,6 @@ def stamped(source: Source, where: str) -> Source:
     for match in filter(None, map(_STAMP.fullmatch, source.names)):
         found[match[1]][bool(match[3])] = match[0]
     stems = [stem for stem, parts in found.items() if len(parts) == 2]
-    first = dict(islice(_head(source, 1).items(), 2)) if not found else {}
-    if len(first) == 2 and all(map(UNNAMED.fullmatch, first)) and _is_stamp(*(c[0] for c in first.values())):
-        stems, found = [""], {"": dict(enumerate(first))}
     data = source.numbers() if len(stems) == 1 else {}
     if not data or not {*(parts := found[stems[0]]).values()} <= {*data}:
         return source
@@ -86,12 +82,6 @@ def stamped(source: Source, where: str) -> Source:
     columns = {stems[0] or T: (parts[False], time)} | {name: (name, x) for name, x in data.items()}
     words = {name: "it holds words" for name in source.names if name not in (*data, *parts.values())}
     return _parted(source, where, "text", {"": columns}, {**source.left_out, **words})
-
-
-def _is_stamp(seconds: str, rest: str) -> bool:
-    """Say whether cells are seconds since 1970, of this century, and nanoseconds."""
-    whole = seconds.isdecimal() and rest.isdecimal()
-    return whole and 1e9 <= int(seconds) < 1e10 and int(rest) < 1_000_000_000
 
 
 _OF_RUN = re.compile(

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.log.columns import RUN, fastest, is_reference
+from hallsym.log.columns import RUN, is_reference
 from hallsym.log.core import Drop, Log, without
 from hallsym.log.quality.findings import Fault, Finding, others, the
 from hallsym.log.quality.scan import FEWEST_SAMPLES, Clock, Scan, Spans, scan
 from hallsym.log.quality.values import copied, stuck
-from hallsym.units import si_symbol
+from hallsym.units import si_symbol, si_unit
 
 
 def finite(log: Log, seen: Scan, required: Sequence[str]) -> Iterator[Finding]:
@@ -186,6 +186,10 @@ def clock(log: Log, clock: Clock, *, thinned: bool) -> Iterator[Finding]:
         )
 
 
+_FASTEST = {"m": 100.0, "rad": 1e5}
+"""m/s and rad/s that no reference moves at: a thousand times a stage, a million revolutions a minute."""
+
+
 def speeds(log: Log, spans: Spans) -> Iterator[Finding]:
     """References that cross their range within a run faster than any machine."""
     if "t_s" not in spans.overall or log.counted:
@@ -193,7 +197,7 @@ def speeds(log: Log, spans: Spans) -> Iterator[Finding]:
     lasts = spans.covers("t_s")
     for name in filter(is_reference, spans.overall):
         covers = spans.covers(name)
-        for k in np.flatnonzero((lasts > 0) & (covers > fastest(name) * lasts))[:1]:
+        for k in np.flatnonzero((lasts > 0) & (covers > _FASTEST[si_unit(name)] * lasts))[:1]:
             run, symbol = list(spans.samples)[k], si_symbol(name)
             text = (
                 f"In run {run} of {log.short_name} {name} covers {covers[k]:.3g} {symbol} in {lasts[k]:.3g} "

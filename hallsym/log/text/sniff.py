@@ -115,8 +115,6 @@ LOOKED_AT = 200
 """Cells of a row that are looked at to tell data from words."""
 STEADY = 5
 """Rows of numbers in a row that show where a table begins, above which there may be words."""
-COMMENT = "comment"
-"""Last name of LabVIEW's measurement files, under which rows without a comment have no cell."""
 
 
 class Line(NamedTuple):
@@ -147,8 +145,6 @@ class Split:
         self.rows = rows
         numeric = [sum(map(is_number, row[:LOOKED_AT])) for row in self.rows]
         self.top, self.data = self._top(numeric)
-        if self.top >= 0 and len(self.names) == self.width + 1 and self.names[-1].lower() == COMMENT:
-            del self.names[-1]
         below = [k for k in range(self.data, len(rows)) if len(self.rows[k]) == self.width]
         self.trailing = self.width > 1 and bool(below) and not any(self.rows[k][-1] for k in below)
         self.trailing &= len(below) == len(rows) - self.data
@@ -274,6 +270,8 @@ MOST, NUMBERS = 100, 4000
 LAST = 20
 """Lines at the end of a text that are looked at for words about the table."""
 _COMMENTS = ("#", "%", "//", "!")
+_STAMPED = re.compile(r"1\d{9}[;,\t ]\d{1,9}[;,\t ]")
+"""A row that begins with seconds since 1970 and nanoseconds."""
 _SEP = re.compile(r"sep=(.)", re.IGNORECASE)
 _WORD = re.compile(r"[^\W\d_][\w ]")
 _BEGINS = re.compile(rf"[\s\"']*(?:{_WORD.pattern}|\*)")
@@ -319,7 +317,7 @@ def sniffed(
         first += 1
     if not units and first < len(lines):
         units = [unit_behind(cell) or "" for cell in split(written[first].text, table.delimiter)]
-    names = [*table.names]
+    names = table.names[: table.width]  # LabVIEW's last one stands over no cells
     if table.width - len(names) == 1 and (table.trailing or table.numbered):
         names.insert(len(names) if table.trailing else 0, "")
     for k, group in enumerate(table.groups):
@@ -428,6 +426,8 @@ def _with_names(lines: Sequence[Line], table: Split) -> list[Line]:
         if table.top >= 0:
             return [*lines]
         names = [f"unnamed_{k}" for k in range(table.width)]
+        if _STAMPED.match(lines[at].text):
+            names[:2] = "sec", "nanosec"
     return [*lines[:at], Line(lines[at].number - 1, table.delimiter.join(names)), *lines[at:]]
 
 
