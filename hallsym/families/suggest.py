@@ -328,19 +328,14 @@ def _expected(data: Mapping[str, Array], model: Model, named: Sequence[Guess]) -
         return _readings(model, known)
     starts = np.arange(PLACES) * 2 * np.pi / PLACES
     tried = [_readings(model, {**known, **{s: known[s] + zero for s in angles}}) for zero in starts]
-    return max(tried, key=lambda expected: _correlation(list(expected.values()), free))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        r = [np.corrcoef(np.vstack([*e.values(), *free]))[: len(e), len(e) :] for e in tried]
+    return tried[int(np.argmax([np.nan_to_num(own).max(axis=1).sum() for own in r]))]
 
 
 def _known(data: Mapping[str, Array], named: Sequence[Guess]) -> dict[str, Array]:
     """Return the columns of the file that have a unit, in SI units by our stems."""
     return {g.stem: _si(data[g.theirs], g) for g in named if g.unit and g.stem != RUN}
-
-
-def _correlation(expected: Sequence[Array], columns: Sequence[Array]) -> float:
-    """Return the sum over readings of the largest correlation with a column; of one that rests it is none."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        r = np.corrcoef(np.vstack([*expected, *columns]))[: len(expected), len(expected) :]
-    return float(np.nan_to_num(r).max(axis=1).sum())
 
 
 def _goes_round(column: str) -> bool:
@@ -381,7 +376,7 @@ def _models(source: Source, data: Mapping[str, Array], name: str | None, meta: M
     """
     own = tuple(si_name(n) for n in source.names if _own(n))
     sets = [each for each in _series(data) if len(each) <= MOST_COLUMNS]
-    sets = [each for each in sets if words_of(next(iter(each))) & _KINDS or _overlap(map(data.get, each))]
+    sets = [each for each in sets if words_of(next(iter(each))) & _KINDS or _overlap([data[n] for n in each])]
     kinds = [{UNITS[u].si for n in each if (u := _stated(source, n))} for each in sets]
     stated, found = name or meta.base_model, list[Model]()
     for default in [stated] if stated else [family.default for family in FAMILIES]:
@@ -403,7 +398,7 @@ def _series(data: Mapping[str, Array]) -> list[dict[str, int]]:
     return series_of(n for n, x in data.items() if not (_behaves(RUN, x) or _behaves(TIME, x)))
 
 
-def _overlap(columns: Iterable[Array]) -> bool:
+def _overlap(columns: Sequence[Array]) -> bool:
     """Say whether columns move together as readings of one field: in two directions, or in few of many."""
     moving = np.array([x for x in columns if np.isfinite(x).all() and np.ptp(x) > 0])
     if len(moving) < 2:

@@ -68,14 +68,10 @@ class Foreign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     counts_per_turn: Turn | None = None
     sign: Literal[1, -1] = 1
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the record, as a column file has it."""
-        return dict(msgspec.to_builtins(self))
-
     @property
     def option(self) -> str:
         """Text behind the equals sign of `--column`."""
-        numbers = {k: v for k, v in self.to_dict().items() if k != "name"}
+        numbers = {k: v for k, v in msgspec.to_builtins(self).items() if k != "name"}
         return self.name + "".join(f",{k}={v!r}" for k, v in numbers.items())
 
 
@@ -471,9 +467,6 @@ _SURE = {
 """Units that are no words: x um is x in micrometres, Hall A and y min are names."""
 
 
-_SAID = re.compile("(?:unit|einheit)s?[:=] *", re.IGNORECASE)
-
-
 def unit_of(text: str) -> str | None:
     """Return hallsym's name of a unit as people write it; None for what is none.
 
@@ -481,10 +474,8 @@ def unit_of(text: str) -> str | None:
     ('um', 'deg', 'mv', None)
     """
     plain = unicodedata.normalize("NFKC", text).strip().replace("μ", "u").replace("º", "°")
-    plain = _SAID.sub("", plain)
-    for left, right in ("[]", "()", "{}", "<>"):
-        if plain.startswith(left) and plain.endswith(right):
-            plain = plain[1:-1].strip()
+    plain = re.sub("(?i)(?:unit|einheit)s?[:=] *", "", plain)
+    plain = re.sub(r"^[\[({<](.*)[\])}>]$", r"\1", plain).strip()
     if plain in _EXACT:
         return _EXACT[plain]
     folded = plain.lower()

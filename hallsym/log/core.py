@@ -132,7 +132,10 @@ class Log:
 
         def stretches() -> Iterator[tuple[int, Piece]]:
             for piece in self.table.pieces(asked, size):
-                floats = {RUN: piece[RUN], **{name: _float(piece[name]) for name in wanted}}
+                floats = {
+                    RUN: piece[RUN],
+                    **{name: piece[name].astype(np.float64, copy=False) for name in wanted},
+                }
                 for run, start, stop in runs.segments(piece[RUN]):
                     yield run, {name: values[start:stop] for name, values in floats.items()}
 
@@ -152,7 +155,8 @@ class Log:
 
     def array(self, column: str) -> Array:
         """Return one whole column, float64 of shape (rows,)."""
-        return _float(joined(list(self.table.pieces((column,), CHUNK_ROWS)), (column,))[column])
+        values = joined(list(self.table.pieces((column,), CHUNK_ROWS)), (column,))[column]
+        return values.astype(np.float64, copy=False)
 
 
 def edges_of(run: Array) -> list[int]:
@@ -182,10 +186,6 @@ class RunOrder:
                 )
             self._seen[ident] = None
         return found
-
-
-def _float(values: Array) -> Array:
-    return values.astype(np.float64, copy=False)
 
 
 @dataclass(frozen=True)

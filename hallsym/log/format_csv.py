@@ -13,7 +13,7 @@ from hallsym.log.arrow import Timed
 from hallsym.log.pace import pace_in
 from hallsym.log.table import load
 from hallsym.log.text.cells import MISSING, Convention, as_float, is_number
-from hallsym.log.text.sniff import Dialect, Encoded, sniffed, split
+from hallsym.log.text.sniff import Dialect, Encoded, is_remark, sniffed, split
 from hallsym.output import csv_text
 from hallsym.units import Array
 
@@ -181,7 +181,8 @@ def cleaning(dialect: Dialect) -> Callable[[str], str]:
     beside = re.compile(rf'"[ ]*{re.escape(sign)}[ ]*"')
 
     def words(line: str) -> bool:
-        return line in dialect.repeated or dialect.is_remark(line)
+        known = line in dialect.repeated
+        return known or (dialect.remarks and is_remark(line, sign, len(dialect.stems), dialect.heads))
 
     def clean(lines: str) -> str:
         if lines.startswith(_BLANK) or cells in lines or any("\n" + first in lines for first in _BLANK):

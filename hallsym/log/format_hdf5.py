@@ -14,6 +14,9 @@ from hallsym.log.pace import pace_in
 from hallsym.log.table import Source, load
 from hallsym.log.vectors import Stored, arranged, unit_in, words_of
 
+_KINDS = {b"char": np.dtype(object), b"cell": np.dtype(object), b"logical": np.dtype(bool)}
+"""Types that MATLAB stores as numbers."""
+
 
 def open_hdf5(path: Path, clock: str | None = None, kind: str = "HDF5", by: str = "/") -> Source:
     """Open an HDF5 file; `clock`: as `GroupedSource` reads it; `by`: what stands between parts of a name."""
@@ -22,20 +25,14 @@ def open_hdf5(path: Path, clock: str | None = None, kind: str = "HDF5", by: str 
     with opened() as file:
         arrays = {
             name: Stored(
-                node.shape, _type(node), partial(_found, node.name), unit_in(node.attrs),
-                pace_in(_stated(node)), _fault(node),
+                node.shape, _KINDS.get(node.attrs.get("MATLAB_class", b""), node.dtype),
+                partial(_found, node.name), unit_in(node.attrs), pace_in(_stated(node)), _fault(node),
                 tuple(words for value in node.attrs.values() if (words := words_of(value))),
             )
             for name, node in _datasets(file, left_out, by).items()
             if node.shape is not None
         }  # fmt: skip
     return arranged(quoted(path), kind, arrays, left_out, by, clock, opened)
-
-
-def _type(node: Any) -> np.dtype:
-    """Return the type of a dataset; text and booleans of MATLAB are stored as numbers."""
-    stated = {b"char": np.dtype(object), b"cell": np.dtype(object), b"logical": np.dtype(bool)}
-    return stated.get(node.attrs.get("MATLAB_class", b""), node.dtype)
 
 
 def _stated(node: Any) -> dict[str, Any]:

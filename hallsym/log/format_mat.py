@@ -22,7 +22,9 @@ def open_mat(path: Path, clock: str | None = None) -> Source:
     """Open a MATLAB file of either kind; `clock`: as `GroupedSource` reads it."""
     from scipy.io import loadmat, whosmat
 
-    if _is_hdf5(path):
+    with open(path, "rb") as stream:
+        head = stream.read(520)
+    if b"\x89HDF\r\n\x1a\n" in (head[:8], head[512:]):  # of v7.3, behind a header of 512 bytes or not
         return open_hdf5(path, clock, "MATLAB", ".")
     _check_compressed(path)
     logical = {name for name, _, kind in whosmat(path) if kind == "logical"}
@@ -50,13 +52,6 @@ def _table(
         return Stored(array.shape, kind, lambda _, field: array[field] if field else array)
 
     return arranged(quoted(path), kind, {n: stored(n, a) for n, a in arrays.items()}, {}, ".", clock)
-
-
-def _is_hdf5(path: Path) -> bool:
-    """Say whether a file is of MATLAB v7.3: HDF5, behind a header of 512 bytes or not."""
-    with open(path, "rb") as stream:
-        head = stream.read(520)
-    return b"\x89HDF\r\n\x1a\n" in (head[:8], head[512:])
 
 
 _COMPRESSED = 15

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
@@ -16,8 +16,8 @@ from hallsym.log.columns import stems_of, unit_of
 from hallsym.log.groups import Group, GroupedSource
 from hallsym.log.table import TIME, Arrays, load
 
-_STAMP, _SINGLE = "header", "data"
-"""Field with the time of measurement; field of a message that holds nothing else (std_msgs)."""
+_STAMP, _SINGLE = "header.stamp.", "data"
+"""Fields with the time of measurement; field of a message that holds nothing else (std_msgs)."""
 _FIELD = re.compile(r"^\s*[\w/<>=\[\]]+\s+(\w+)\s*(?:\S+\s*)?#[^\[\n]*\[([^\]\n]+)\]", re.MULTILINE)
 """A line of a message definition whose comment states a unit: `float64 hall_a  # probe A [um]`."""
 
@@ -69,17 +69,16 @@ def _topic(path: Path, name: str, schema: Any, origin: int, left_out: dict[str, 
         found = ((dict(_leaves(message)), raw.log_time) for _, _, raw, message in messages)
         first = leaves, _ = next(found)
         numbers = [p for p, v in leaves.items() if isinstance(v, int | float) and not isinstance(v, bool)]
-        second, rest = ((_STAMP, "stamp", part) for part in ("sec", "nanosec"))
-        stamped = second in numbers
-        paths = {_called(path): path for path in numbers if path[0] != _STAMP or len(path) == 1}
+        stamped = f"{_STAMP}sec" in numbers
+        fields = [path for path in numbers if not path.startswith(_STAMP.partition(".")[0] + ".")]
         rows = [
-            (own[second] * 10**9 + own[rest] if stamped else at, *map(own.__getitem__, paths.values()))
+            (own[f"{_STAMP}sec"] * 10**9 + own[f"{_STAMP}nanosec"] if stamped else at, *map(own.get, fields))
             for own, at in chain([first], found)
         ]
-    left_out.update({_called(path): "it holds no numbers" for path in leaves if path not in numbers})
-    names = [name.rpartition("/")[2]] if [*paths] == [_SINGLE] else [*paths]
+    left_out.update({path: "it holds no numbers" for path in leaves if path not in numbers})
+    names = [name.rpartition("/")[2]] if fields == [_SINGLE] else fields
     said = dict(_FIELD.findall(schema.data.decode("utf-8", "replace").split("\n====")[0]))
-    stems = stems_of(names, [unit_of(said.get(str(path[0]), "")) for path in paths.values()])
+    stems = stems_of(names, [unit_of(said.get(re.split(r"[.[]", path)[0], "")) for path in fields])
     ticks, *columns = (np.array(column) for column in zip(*rows, strict=True))
     source = Arrays({**dict(zip(stems, columns, strict=True)), TIME: (ticks - origin) * 1e-9})
     source.call({**stems, TIME: (TIME, "s")})
@@ -87,18 +86,13 @@ def _topic(path: Path, name: str, schema: Any, origin: int, left_out: dict[str, 
     return source
 
 
-def _leaves(value: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Any]]:
-    """Yield (path, value) of what a message holds: fields of fields, elements of arrays."""
+def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield (name, value) of what a message holds, fields of fields and elements: `pose.position[0]`."""
     if hasattr(value, "__slots__"):
         for field in value.__slots__:
-            yield from _leaves(getattr(value, field), (*path, field))
+            yield from _leaves(getattr(value, field), f"{name}.{field}" if name else field)
     elif isinstance(value, list | tuple | np.ndarray):
         for k, item in enumerate(value):
-            yield from _leaves(item, (*path, k))
+            yield from _leaves(item, f"{name}[{k}]")
     else:
-        yield path, value
-
-
-def _called(path: Sequence[str | int]) -> str:
-    """Return the name of a leaf: `pose.position[0]`."""
-    return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path)[1:]
+        yield name, value

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -34,8 +33,7 @@ def open_workbook(path: Path, sheet: str | None = None, decimal: str | None = No
 
 def _rows(book: Any, name: str) -> list[list[Any]]:
     sheet = book.get_sheet_by_name(name)
-    rows: Iterator[list[Any]] = sheet.iter_rows()
-    found = list(rows)
+    found: list[list[Any]] = list(sheet.iter_rows())
     for (top, left), (bottom, right) in sheet.merged_cell_ranges or ():
         for row in found[top : bottom + 1]:  # a run's number beside its rows, a word above its columns
             row[left : right + 1] = [found[top][left]] * len(row[left : right + 1])

@@ -225,7 +225,13 @@ def read_log(
             f"{where} has no column whose name ends with a unit; it has {listed(source.names, 5)}; map them"
             f" with --column hall_a_um=ITS_NAME, or by 'hallsym info {words} --write'."
         )
-    known = _noise(meta, stated, noise or {}, table)
+    check_noise_keys(noise or {}, table.columns, "the noise given")
+    check_noise_keys(stated.noise, table.columns, "the column file")
+    known = Noise()
+    for key, value in (noise or {}).items():
+        require(value > 0, f"Noise '{key}'", "a positive number (1 sigma)", value)
+    for values in (noise or {}, stated.noise, meta.noise_1sigma):
+        known = known.merged(Noise.given(values, table.columns))
     meta = replace(meta, columns=table.columns)
     unused = check_noise_keys(meta.noise_1sigma, table.columns, "meta.json", strict=False)
     notes = [*table.notes, *said, *source.notes]
@@ -392,14 +398,3 @@ def _resolve(wanted: Mapping[str, str | Foreign], source: Source) -> dict[str, F
 
     entries = {ours: Foreign(e) if isinstance(e, str) else e for ours, e in wanted.items()}
     return {ours: structs.replace(e, name=own(e.name)) for ours, e in entries.items()}
-
-
-def _noise(meta: Meta, stated: ColumnFile, given: Mapping[str, float], table: Table) -> Noise:
-    check_noise_keys(given, table.columns, "the noise given")
-    check_noise_keys(stated.noise, table.columns, "the column file")
-    for key, value in given.items():
-        require(value > 0, f"Noise '{key}'", "a positive number (1 sigma)", value)
-    best = Noise.given(given, table.columns)
-    for values in (stated.noise, meta.noise_1sigma):
-        best = best.merged(Noise.given(values, table.columns))
-    return best

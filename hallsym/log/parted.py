@@ -223,12 +223,10 @@ def by_signal(source: Source, where: str) -> Source:
     stamps = sorted((n for n in head if kinds[n] > 1 and _is_clock(source, n)), key=lambda n: -kinds[n])
     texts = [n for n, cells in head.items() if n not in stamps and not any(map(is_number, cells))]
     runs = [n for n in head if is_run_word(n) and n not in (*texts, *stamps)][:1]
-    free = [n for n in head if kinds[n] > 1 and n not in (*texts, *stamps, *runs) and not _counts(head[n])]
-    names = [
-        n
-        for n in head
-        if kinds[n] > 1 and (n in texts or (n in free and any(map(LABELS.fullmatch, words[n]))))
-    ]
+    others = [n for n in head if kinds[n] > 1 and n not in (*texts, *stamps, *runs)]
+    free = [n for n in others if not (_steps(head[n]) == 1).all()]  # no number of the row
+    said = [n for n in free if any(map(LABELS.fullmatch, words[n]))]
+    names = [n for n in head if kinds[n] > 1 and n in (*texts, *said)]
     if not names and len(free) == 1:  # one signal after the other
         kinds |= {n: len(set(source.labels(n))) for n in texts}
         names = [n for n in texts if kinds[n] > 1]
@@ -247,15 +245,12 @@ def by_signal(source: Source, where: str) -> Source:
     seen = _pairs(head, keys)
     varying = [n for n in head if _pairs(head, [*keys, n]) > seen]
     numbers = [n for n in varying if n in free and n not in (*keys, *stamps)]
-    for chosen in (
-        lambda n: any(map(VALUES.fullmatch, words[n])),
-        lambda n: not all(map(str.isdecimal, head[n])),
-    ):
-        numbers = [n for n in numbers if len(numbers) == 1 or chosen(n)]  # raw and physical values
+    numbers = [n for n in numbers if len(numbers) == 1 or any(map(VALUES.fullmatch, words[n]))]
+    numbers = [n for n in numbers if not all(map(str.isdecimal, head[n]))] or numbers  # beside raw values
     if len(numbers) != 1:
         return source
-    parts = [source.labels(n) for n in head if n in keys]
-    labels, (value,) = np.array([*map(" ".join, zip(*parts, strict=True))]), numbers
+    named = zip(*(source.labels(n) for n in head if n in keys), strict=True)
+    labels, (value,) = np.array([*map(" ".join, named)]), numbers
     unit, signals = source.units.get(value) or split_unit(value)[1], list(dict.fromkeys(labels))
     one_quantity = unit and not (stamps and any(map(LABELS.fullmatch, words[keys[0]])))
     if not 2 <= len(signals) <= len(labels) / 2 or one_quantity:
@@ -286,8 +281,3 @@ def _pairs(head: Mapping[str, Sequence[str]], names: Sequence[str]) -> int:
 def _steps(cells: Sequence[str]) -> Array:
     """Return the steps between a column's first numbers, nan beside other cells."""
     return np.diff(np.array([as_float(cell, POINT) for cell in cells], float))
-
-
-def _counts(cells: Sequence[str]) -> bool:
-    """Say whether a column is 0, 1, 2, ... or another such number of the row."""
-    return all(cell.isdecimal() for cell in cells) and bool((_steps(cells) == 1).all())

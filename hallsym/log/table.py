@@ -241,10 +241,6 @@ class Table:
                 f" --column {name}=ITS_NAME, where the ending is the unit it is in."
             )
 
-    def source_name(self, column: str) -> str:
-        """Return the name that an SI column has in the file."""
-        return self.bindings[column].source if column in self.bindings else column
-
     @property
     def mapping(self) -> dict[str, Foreign]:
         """The columns that somebody mapped: our name, with the unit where it was stated, and the file's."""

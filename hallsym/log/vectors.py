@@ -133,13 +133,6 @@ def words_of(values: Any) -> tuple[str, ...]:
     return tuple(texts) if texts and all(isinstance(text, str) for text in texts) else ()
 
 
-def _texts(arrays: Mapping[str, Stored], opened: Opened) -> tuple[tuple[str, ...], ...]:
-    """Return the lists of words of a file."""
-    short = [a for a in arrays.values() if a.dtype.kind in "SUO" and 1 < math.prod(a.shape) <= MOST_COLUMNS]
-    with opened() as file:
-        return tuple(words for array in short if (words := words_of(array.find(file, "")[()])))
-
-
 def _called(
     vectors: Mapping[str, Vector], arrays: Mapping[str, Stored], by: str, opened: Opened
 ) -> dict[str, Vector]:
@@ -219,7 +212,9 @@ def arranged(
     arrays = {under: one for path, array in arrays.items() for under, one in _by_run(path, array, by)}
     matrices = {p.split(by)[-1]: a for p, a in arrays.items() if a.dtype.kind in "fiu" and len(a.shape) == 2}
     widths = [min(matrix.shape) for matrix in matrices.values()]  # once where each run has it
-    texts = _texts(arrays, opened) if widths else ()
+    short = [a for a in arrays.values() if a.dtype.kind in "SUO" and 1 < math.prod(a.shape) <= MOST_COLUMNS]
+    with opened() as file:
+        texts = [words for array in short if (words := words_of(array.find(file, "")[()]))]
     arrays = {
         path: array._replace(texts=(*array.texts, *(t for t in texts if widths.count(len(t)) == 1)))
         for path, array in arrays.items()

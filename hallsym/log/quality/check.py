@@ -169,7 +169,7 @@ def clock(log: Log, clock: Clock, *, thinned: bool) -> Iterator[Finding]:
             f" {row + 1} (run {run}) at {t:.6g} s",
             "sort the samples by time or number the runs", refuse=True, drop=Drop(forward=True),
         )  # fmt: skip
-    tick, source = clock.tick, log.table.source_name("t_s")
+    tick, source = clock.tick, log.table.bindings["t_s"].source
     if tick > _LONGEST_TICK_S or (tick > _SLOW_TICK_S and source == "t_s"):
         unit = "ms" if tick < 1e4 else "us"
         text = (

@@ -77,10 +77,6 @@ class Dialect:
         """What separates the cells of clean lines."""
         return "\t" if self.delimiter == BLANKS else self.delimiter
 
-    def is_remark(self, line: str) -> bool:
-        """Say whether a clean line holds words about the table, where it has such lines."""
-        return self.remarks and _is_remark(line, self.sign, len(self.stems), self.heads)
-
 
 def stated_delimiter(text: str) -> str:
     """Return the delimiter of an option: one character, or the word for it."""
@@ -130,7 +126,6 @@ class Split:
 
     `rows`: the cells of each line; `width`: how many most rows have. `top`: index of the names, -1 for none;
     `data`: of the first row under them. `quality`: share of numbers, in [0, 1], in the rows from there on.
-    `trailing`: whether every one of them ends with a delimiter.
     """
 
     def __init__(self, lines: Sequence[Line], delimiter: str) -> None:
@@ -146,8 +141,6 @@ class Split:
         numeric = [sum(map(is_number, row[:LOOKED_AT])) for row in self.rows]
         self.top, self.data = self._top(numeric)
         below = [k for k in range(self.data, len(rows)) if len(self.rows[k]) == self.width]
-        self.trailing = self.width > 1 and bool(below) and not any(self.rows[k][-1] for k in below)
-        self.trailing &= len(below) == len(rows) - self.data
         filled = sum(numeric[k] + sum(cell in MISSING for cell in self.rows[k][:LOOKED_AT]) for k in below)
         cells = min(self.width, LOOKED_AT) * (len(rows) - self.data)
         self.quality = filled / cells if cells else 0.0
@@ -172,7 +165,8 @@ class Split:
             first = words[-1] + 1
             while first < start and len(self.rows[first]) == width and 0 < numeric[first] <= half:
                 first += 1
-            return max(names, key=self._as_names), first
+            units = {k: sum(bool(split_header(cell)[1]) for cell in self.rows[k]) for k in names}
+            return max(names, key=lambda k: (min(len({*self.rows[k]} - {""}), width), units[k], k)), first
         first = next((k for k, row in enumerate(self.rows) if row), -1)
         if first < 0 or self._is_data(*self.rows[first : first + 2]):
             return -1, 0
@@ -214,16 +208,12 @@ class Split:
         )
 
     @property
-    def numbered(self) -> bool:
-        """Whether rows begin with their number, over which R and pandas write no name, or with nothing."""
-        cells = [row[0] for row in self.rows[self.data :] if len(row) == self.width > 1]
-        counted = ([str(k + first) for k in range(len(cells))] for first in (0, 1))
-        return bool(cells) and (not any(cells) or cells in counted)
-
-    def _as_names(self, k: int) -> tuple[int, int, int]:
-        """How well a line serves as names: different cells, those with a unit, its number."""
-        row = self.rows[k]
-        return min(len({*row} - {""}), self.width), sum(bool(split_header(cell)[1]) for cell in row), k
+    def spare(self) -> int | None:
+        """Place of the column that needs no name: rows begin with their number, begin or end with nothing."""
+        rows = [row for row in self.rows[self.data :] if len(row) == self.width > 1]
+        first, last = ([row[k] for row in rows] for k in (0, -1))
+        counted = first in ([str(k + zero) for k in range(len(rows))] for zero in (0, 1))
+        return 0 if counted or not any(first) else None if any(last) else self.width - 1
 
     @property
     def names(self) -> list[str]:
@@ -270,8 +260,6 @@ MOST, NUMBERS = 100, 4000
 LAST = 20
 """Lines at the end of a text that are looked at for words about the table."""
 _COMMENTS = ("#", "%", "//", "!")
-_STAMPED = re.compile(r"1\d{9}[;,\t ]\d{1,9}[;,\t ]")
-"""A row that begins with seconds since 1970 and nanoseconds."""
 _SEP = re.compile(r"sep=(.)", re.IGNORECASE)
 _WORD = re.compile(r"[^\W\d_][\w ]")
 _BEGINS = re.compile(rf"[\s\"']*(?:{_WORD.pattern}|\*)")
@@ -318,8 +306,8 @@ def sniffed(
     if not units and first < len(lines):
         units = [unit_behind(cell) or "" for cell in split(written[first].text, table.delimiter)]
     names = table.names[: table.width]  # LabVIEW's last one stands over no cells
-    if table.width - len(names) == 1 and (table.trailing or table.numbered):
-        names.insert(len(names) if table.trailing else 0, "")
+    if table.width - len(names) == 1 and table.spare is not None:
+        names.insert(table.spare, "")
     for k, group in enumerate(table.groups):
         names[k] = f"{group} {names[k]}" if group and not quantity(split_unit(names[k])[0]) else names[k]
     stems = stems_of(names, list(map(unit_of, units)), where)
@@ -340,7 +328,7 @@ def sniffed(
             for line in (*(line.text for line in below), *ends)
             if not line.lstrip(' \t"').startswith(marks)
         ]
-        remarks = [line.strip() for line in seen if _is_remark(line, table.delimiter, len(stems), heads)]
+        remarks = [line.strip() for line in seen if is_remark(line, table.delimiter, len(stems), heads)]
     above = sum(line.number < header and not line.comment for line in lines)
     group = f" and {numbers.grouping!r} between thousands" if numbers.grouping else ""
     said = [
@@ -420,13 +408,13 @@ def _with_names(lines: Sequence[Line], table: Split) -> list[Line]:
         series[re.sub(r"\d+", "", name)].append(re.sub(r"\s+(?![(\[])", "_", value))
     for line, by in ((line.text, by) for line in reversed(lines[:at]) for by in DELIMITERS):
         series[f"{by}{line}"] = [re.split(r"[:\t]\s*", cell)[-1] for cell in split(line, by)]
-    widths = {table.width, table.width - table.numbered} - {0, 1}
+    widths = {table.width, table.width - (table.spare is not None)} - {0, 1}
     names = next((own for own in series.values() if len(own) == len({*own}) and len(own) in widths), [])
     if not names or any(map(is_number, names)):
         if table.top >= 0:
             return [*lines]
         names = [f"unnamed_{k}" for k in range(table.width)]
-        if _STAMPED.match(lines[at].text):
+        if re.match(r"1\d{9}[;,\t ]\d{1,9}[;,\t ]", lines[at].text):  # seconds since 1970 and the rest
             names[:2] = "sec", "nanosec"
     return [*lines[:at], Line(lines[at].number - 1, table.delimiter.join(names)), *lines[at:]]
 
@@ -462,7 +450,7 @@ def _facts(lines: Sequence[Line]) -> dict[str, str]:
     return {match[1]: match[2].strip(' "') for line in lines if (match := _FACT.match(line.text))}
 
 
-def _is_remark(line: str, delimiter: str, width: int, heads: Collection[str]) -> bool:
+def is_remark(line: str, delimiter: str, width: int, heads: Collection[str]) -> bool:
     """Say whether a line begins with a word, where rows begin with a number, and is no row of names.
 
     It has another number of cells than the table, numbers behind its word (`Mean,0.5,1.2`), or begins as a
