@@ -75,7 +75,7 @@ def test_a_date_that_may_be_read_in_two_ways_is_refused_where_it_matters(tmp_pat
 def test_a_line_that_is_no_time_is_named(tmp_path):
     path = written(tmp_path / "log.csv", FORMS["ISO 8601"], times=1000)
     lines = path.read_text().split("\n")
-    lines[-3] = "yesterday;1.0;1.0"
+    lines[-3] = "30.01. yesterday;1.0;1.0"
     path.write_text("\n".join(lines))
     with pytest.raises(InputError, match=r"Column 'Zeit' of .* must hold dates with times in one form"):
         read_log(path).array("t_s")
