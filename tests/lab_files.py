@@ -262,11 +262,12 @@ def lost_samples(file: Path, columns: Columns) -> None:
 
 
 def row_per_value(file: Path, columns: Columns) -> None:
-    """Time, name and value in each row, and columns that tell nothing, as databases of series export them."""
+    """Time, device, axis and value in each row, and columns that tell nothing, as databases export them."""
     t = columns.pop("time_s")
-    rows = [f",{j},{t[k]:.9g},{name},{x[k]:.10g},stage"
+    rows = [f",{j},{t[k]:.9g},{','.join(name.partition('_')[::2])},{round(9 * x[k])},{x[k]:.10g},stage"
             for k in range(len(t)) for j, (name, x) in enumerate(columns.items())]  # fmt: skip
-    file.write_text("\n".join([",table,time_s,channel,value,_measurement", *rows, ""]), encoding="utf-8")
+    head = ",table,time_s,device,axis,raw value,value,_measurement"
+    file.write_text("\n".join([head, *rows, ""]), encoding="utf-8")
 
 
 def annotated_series(file: Path, columns: Columns) -> None:
@@ -541,14 +542,15 @@ def matlab_73(path: Path, data: Columns) -> Written:
 
 
 def arrow(file: Path, columns: Columns) -> None:
-    """Parquet with the units in the metadata of its columns."""
+    """Parquet with the units in the metadata of its columns, and runs as categories."""
     import pyarrow as pa
     from pyarrow import parquet
 
     fields = [pa.field(name, pa.float64(), metadata={"unit": unit} if unit else None)
               for name, unit, _ in named(columns)]  # fmt: skip
     made = pa.table([pa.array(x, pa.float64()) for x in columns.values()], schema=pa.schema(fields))
-    parquet.write_table(made, str(file))
+    runs = pa.array([f"R{run:02.0f}" for run in columns["Run"]]).dictionary_encode()
+    parquet.write_table(made.set_column(0, "Run", runs), str(file))
 
 
 def lists_and_records(file: Path, columns: Columns) -> None:
@@ -826,7 +828,7 @@ FILES: dict[str, LabFile] = {
     "merged cells": LabFile(saved("merged.xlsx", merged_cells)),
     "a row per run": LabFile(saved("lake.parquet", row_per_run, SNAKE, UNDER)),
     "names behind a word in a comment": LabFile(saved("ids.txt", text(
-        " ", above="# axis 1 = x\n", head=lambda names: "# columns: " + " ".join(names)), SNAKE, UNDER)),
+        " ", above="# axis 1 = x\n", head=lambda names: "# columns: " + ", ".join(names)), SNAKE, UNDER)),
     "Chinese": LabFile(saved("数据.csv", text(encoding="gb18030"), "{name}({plain})", CHINESE)),
     "HDF5, a matrix with names": LabFile(saved("matrix.h5", hdf5_matrix, ASIDE)),
     "lists and records": LabFile(knows(

@@ -246,11 +246,11 @@ def by_signal(source: Source, where: str) -> Source:
     varying = [n for n in head if _pairs(head, [*keys, n]) > seen]
     numbers = [n for n in varying if n in free and n not in (*keys, *stamps)]
     numbers = [n for n in numbers if len(numbers) == 1 or any(map(VALUES.fullmatch, words[n]))]
-    numbers = [n for n in numbers if not all(map(str.isdecimal, head[n]))] or numbers  # beside raw values
+    numbers = [n for n in numbers if (_steps(head[n]) % 1 != 0).any()] or numbers  # beside raw values
     if len(numbers) != 1:
         return source
     named = zip(*(source.labels(n) for n in head if n in keys), strict=True)
-    labels, (value,) = np.array([*map(" ".join, named)]), numbers
+    labels, (value,) = np.array([" ".join(filter(None, row)) for row in named]), numbers
     unit, signals = source.units.get(value) or split_unit(value)[1], list(dict.fromkeys(labels))
     one_quantity = unit and not (stamps and any(map(LABELS.fullmatch, words[keys[0]])))
     if not 2 <= len(signals) <= len(labels) / 2 or one_quantity:

@@ -134,8 +134,7 @@ class Split:
         counts = Counter(len(row) for row, line in zip(rows, lines, strict=True) if not line.comment)
         self.width = max(counts, key=lambda n: counts[n], default=0)
         for k, row in enumerate(rows):
-            if lines[k].comment:  # of names, perhaps behind a word: `# columns: time x y`
-                row = row[1:] if row and row[0].endswith(":") and len(row) == self.width + 1 else row
+            if lines[k].comment:
                 rows[k] = row if len(row) == self.width else []
         self.rows = rows
         numeric = [sum(map(is_number, row[:LOOKED_AT])) for row in self.rows]
@@ -407,7 +406,8 @@ def _with_names(lines: Sequence[Line], table: Split) -> list[Line]:
     for name, value in _facts(lines[:at]).items():
         series[re.sub(r"\d+", "", name)].append(re.sub(r"\s+(?![(\[])", "_", value))
     for line, by in ((line.text, by) for line in reversed(lines[:at]) for by in DELIMITERS):
-        series[f"{by}{line}"] = [re.split(r"[:\t]\s*", cell)[-1] for cell in split(line, by)]
+        cells = [re.split(r"[:\t]\s*", cell)[-1] for cell in split(line, by)]
+        series[f"{by}{line}"] = cells[not cells[0] :]  # behind a word
     widths = {table.width, table.width - (table.spare is not None)} - {0, 1}
     names = next((own for own in series.values() if len(own) == len({*own}) and len(own) in widths), [])
     if not names or any(map(is_number, names)):
