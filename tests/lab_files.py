@@ -647,9 +647,6 @@ SERIAL = {"run": (Known("pass"), as_it_is), "t_s": (Known("millis", "ms"), lambd
           "v_sin_v": (Known("adc_sin", "v", 1e-3, -2.048), millivolt),
           "v_cos_v": (Known("adc_cos", "v", 1e-3, -2.048), millivolt),
           "angle_ref_rad": (Known("encoder_deg", "deg"), wrapped)}  # fmt: skip
-WRAPPED = {"run": (Known("run"), as_it_is), "t_s": (Known("t", "s"), as_it_is),
-           "angle_rad": (Known("sensor", "deg"), wrapped),
-           "angle_ref_rad": (Known("reference", "deg"), wrapped)}  # fmt: skip
 STEPPER = {"run": (Known("run"), as_it_is), "t_s": (Known("us", "us"), lambda t: np.round(1e6 * t)),
            "angle_rad": (Known("as5047", "count", 16384), lambda x: np.floor(x / TURN * 16384) % 16384),
            "angle_ref_rad": (Known("microsteps", "rad", TURN / 51200),
@@ -803,7 +800,6 @@ FILES: dict[str, LabFile] = {
     "parquet": LabFile(saved("lake.parquet", arrow, ASIDE)),
     "averaged counts": LabFile(maker_table, "chip", within=0.2),
     "voltages in counts": LabFile(of_columns("serial.csv", SERIAL, text()), "rotary", within=2.0),
-    "wrapped degrees": LabFile(of_columns("angles.csv", WRAPPED, text("\t"), BRACKETS), "chip"),
     "an encoder without units": LabFile(one_run(of_columns("turn.dat", UNITLESS_TURN, text(" "))), "rotary"),
     "millivolts": LabFile(board(places=True), "halbach"),
     "labels above names": LabFile(one_run(of_columns("tek.csv", TEKTRONIX, text(above="\n".join(SETTINGS)))),

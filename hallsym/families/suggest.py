@@ -301,8 +301,7 @@ def suggest(source: Source, model: str | None = None, meta: Meta | None = None) 
 
 def _guesses(source: Source, data: Mapping[str, Array], model: Model) -> list[Guess]:
     """Return the guesses for a model: by name, by what the references let its readings do."""
-    named = _by_name(source, data, model)
-    named = _by_readings(source, data, model, named)
+    named = _by_readings(source, data, model, _by_name(source, data, model))
     expected = _expected(data, model, named)
     named = [
         _with_unit(source, data[g.theirs], replace(g, why="its name"), model, expected[g.stem])
@@ -401,10 +400,8 @@ def _series(data: Mapping[str, Array]) -> list[dict[str, int]]:
 def _overlap(columns: Sequence[Array]) -> bool:
     """Say whether columns move together as readings of one field: in two directions, or in few of many."""
     moving = np.array([x for x in columns if np.isfinite(x).all() and np.ptp(x) > 0])
-    if len(moving) < 2:
-        return False
-    largest = np.linalg.eigvalsh(np.corrcoef(moving))[::-1][: max(2, len(moving) // 4)]
-    return bool(largest.sum() >= MOVES**2 * len(moving))
+    largest = np.linalg.eigvalsh(np.corrcoef(moving))[-max(2, len(moving) // 4) :] if len(moving) > 1 else 0.0
+    return bool(np.sum(largest) > MOVES**2 * len(moving))
 
 
 # -- by name ---------------------------------------------------------------------------------------------
@@ -622,9 +619,8 @@ def _by_readings(
     angle = model.references[0] if len(model.references) == 1 else ""
     stem, known = split_unit(angle)[0], [g for g in named if f"{g.stem}_rad" != angle]
     mine = [g for g in named if g not in known]
-    if not angle or not _goes_round(angle) or (mine and not (mine[0].open or mine[0].counts_per_turn)):
-        return list(named)
-    if len(data) > MOST_COLUMNS and not mine:
+    sure = mine and not (mine[0].open or mine[0].counts_per_turn)
+    if not angle or not _goes_round(angle) or sure or (len(data) > MOST_COLUMNS and not mine):
         return list(named)
     free = [n for n in data if n not in {g.theirs for g in named} and not _own(n) and np.ptp(data[n]) > 0]
     volts = {UNITS[u].si if (u := _stated(source, n)) else "" for n in free} == {"v"}  # of an oscilloscope

@@ -39,8 +39,7 @@ class Group:
         stems = {c: split_unit(ours.get(c, c))[0] for c in self.channels}
         moving = any(is_moving(f"{stem}_{self.unit(c).si}") for c, stem in stems.items())
         self.moves = moving + any(self.unit(c).si in MOTION for c in self.channels)
-        given = [c for c in source.names if c == TIME]
-        named = given or [c for c, stem in stems.items() if stem == T]
+        named = [c for c in source.names if c == TIME] or [c for c, stem in stems.items() if stem == T]
         timed = named or [c for c in self.channels if self.unit(c).si == "s"]
         timed = timed or [c for c in self.channels if is_time_word(c) and c not in self.units]
         self.clock = timed[0] if len(timed) == 1 else ""
