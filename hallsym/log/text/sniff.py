@@ -212,7 +212,8 @@ class Split:
         rows = [row for row in self.rows[self.data :] if len(row) == self.width > 1]
         first, last = ([row[k] for row in rows] for k in (0, -1))
         counted = first in ([str(k + zero) for k in range(len(rows))] for zero in (0, 1))
-        return 0 if counted or not any(first) else None if any(last) else self.width - 1
+        empty = [k for k, cells in ((0, first), (self.width - 1, last)) if not any(cells)]
+        return None if not rows else 0 if counted else max(empty, default=None)
 
     @property
     def names(self) -> list[str]:
@@ -319,8 +320,9 @@ def sniffed(
     numbers = _numbers(body, "" if quoted else table.delimiter, decimal, where)
     remarks = []
     times = _times(body)
-    first_cell = next(filter(None, body[0]), "") if body else ""
-    if 0 in times or is_number(first_cell):  # a first column of words looks like words
+    if 0 in times or (
+        body and is_number(next(filter(None, body[0]), ""))
+    ):  # words in all rows are no remarks
         ends = text.end.rstrip("\n").split("\n")[1:][-LAST:]
         seen = [
             line
