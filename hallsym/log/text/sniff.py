@@ -320,9 +320,7 @@ def sniffed(
     numbers = _numbers(body, "" if quoted else table.delimiter, decimal, where)
     remarks = []
     times = _times(body)
-    if 0 in times or (
-        body and is_number(next(filter(None, body[0]), ""))
-    ):  # words in all rows are no remarks
+    if 0 in times or (body and is_number(next(filter(None, body[0]), ""))):  # else all rows look so
         ends = text.end.rstrip("\n").split("\n")[1:][-LAST:]
         seen = [
             line
