@@ -348,7 +348,8 @@ FELT = ("right", "rival", "equal", "wrong", "noticed", "silent", "consistent")
 def rates(rows: Sequence[Outcome]) -> dict[str, float]:
     """Return numbers of cases, and shares of the mistakes that are felt and of the healthy logs.
 
-    A right remedy among rivals that the log cannot tell apart is a right one.
+    A right remedy among rivals that the log cannot tell apart is a right one; `first`: it is named alone, or
+    before all others.
     """
     count = Counter(row.verdict for row in rows)
     healthy = count["ok"] + count["noted"] + count["false"]
@@ -359,6 +360,7 @@ def rates(rows: Sequence[Outcome]) -> dict[str, float]:
 
     return {
         "mistakes": len(rows) - healthy, "felt": felt, "right": share("right", "rival", "equal"),
+        "first": share("right"),
         "noticed": 1 - share("silent", "consistent"), "silent": share("silent"),
         "consistent": share("consistent"), "wrong": count["wrong"], "healthy": healthy,
         "false": count["false"] / max(1, healthy),

@@ -146,7 +146,7 @@ def mistakes_of(given: Log, model: Model) -> tuple[Claim, ...]:
     """Return the mistakes that explain what a model leaves of a log as it was logged, or why it fits none."""
     with np.errstate(all="ignore"):  # what is tried may be beyond numbers
         try:
-            return tuple(map(claim, suspects(Trials(given, model, noise_of(given, model)))))
+            return tuple(dict.fromkeys(map(claim, suspects(Trials(given, model, noise_of(given, model))))))
         except (InputError, np.linalg.LinAlgError):
             return ()
 
@@ -184,6 +184,10 @@ def claim(found: Found) -> Claim:
             f"explains these: look at what they hold, or leave them out with --holdout {run_list(c.runs)}."
         )
         return Claim("odd_runs", text, runs=c.runs, rivals=(c.text,))
+    if found.differs:
+        what = "zero" if c.kind == "zero_moved" else "gain"
+        text = f"The {what} of {c.columns[0]} is another one in each run: record it with one {what} for all."
+        return Claim(c.kind, text, c.columns)
     share = f"explains {100 * found.explains:.0f} % of what the model leaves"
     also = f"; {_listed(rivals)} would do as well" if rivals else ""
     factors = sorted(
@@ -372,9 +376,10 @@ class Trials:
         wanted = keep if runs is None else keep & np.isin(run, list(runs))
         few = SAMPLES if exact(self.model) else max(FEW // len(self.model.channels), 1)
         every = max(1, int(wanted.sum()) // few)
-        if not wanted.any():
+        late = np.concatenate([np.arange(k, k + at.stop - at.start) for k, (_, at) in enumerate(spans)])
+        pick = np.flatnonzero(wanted & (late % every == 0))  # ends of runs are seen in some
+        if not len(pick):
             raise InputError("No sample would be left; leave that correction out.")
-        pick = np.flatnonzero(wanted)[::every]
         arrays = {RUN: run[pick] * (not merged), **{c: v[pick] for c, v in columns.items()}}
         self._last = {key: as_continuous(Log.from_arrays(arrays, noise, self.given.meta))}
         return self._last[key]
@@ -543,13 +548,16 @@ class Tried:
 
 
 def _screen(trials: Trials, base: Tried, runs: Sequence[int], *, free: bool) -> Callable[[Correction], float]:
-    """Return what tells the share of what is left that a correction leaves in some runs, without a fit.
+    """Return what tells the share of what is left that a correction leaves in some runs, without its fit.
 
-    `free`: at parameters of its own, where a fit begins, and of a model without run statistics the optimum of
-    its tangent where `base` was fitted. Else at those of `base`.
+    `free`: at parameters of its own: where a fit begins, or the optimum of the tangent where `base` was
+    fitted; with offsets of runs, whose tangent tells nothing where no reading follows, those of a few runs.
+    Else at those of `base`.
     """
-    if free and exact(trials.model):
-        return lambda c: base.rest(trials.fitted((c,), closely=False))
+    if free and (exact(trials.model) or not trials.runs_merge):
+        few = None if exact(trials.model) else runs[:: -(-len(runs) // FEWEST)]
+        first = trials.fitted((), few) if few else base
+        return lambda c: first.rest(trials.fitted((c,), few, closely=False)) if first else np.inf
     p, merged = base.p, trials.runs_merge
     before = trials.at((), p, runs, merged=True) if merged else base
 
@@ -558,11 +566,12 @@ def _screen(trials: Trials, base: Tried, runs: Sequence[int], *, free: bool) -> 
         if not before or not found:
             return np.inf
         try:
-            return before.rest(
+            share = before.rest(
                 replace(found, p=refit(found.cost, p, (), CLOSELY, SETTLING)) if free else found
             )
         except np.linalg.LinAlgError:  # its noise is beyond numbers
             return np.inf
+        return share if share >= 0 else np.inf  # of rounding
 
     return screened
 
@@ -608,6 +617,8 @@ class Found:
     explains: float
     rivals: tuple[Correction, ...] = ()
     single: bool = True
+    differs: bool = False
+    """Whether the other runs want such a step each too, of another size."""
 
 
 def suspects(trials: Trials) -> list[Found]:
@@ -982,7 +993,8 @@ def _in_runs(trials: Trials, base: Tried, odd: Sequence[int]) -> list[Found]:
         if not good:
             return None
         rivals = tuple(_of(c, good) for c in found.rivals)
-        return replace(found, correction=_of(found.correction, good), rivals=rivals)
+        differs = _differs(trials, base, found.correction)
+        return replace(found, correction=_of(found.correction, good), rivals=rivals, differs=differs)
 
     left, now = list(odd), trials.at((), p, odd)
     if now is None or not now.left:
@@ -1196,7 +1208,7 @@ def _steps(trials: Trials, tried: Tried, runs: Sequence[int], *, within: bool) -
     for c in (*trials.model.references, *trials.model.state, *tried.worst(runs)):
         if c not in trials.columns:
             continue
-        for kind in ("zero_moved", "gain_step") if within else ("gain_step",):
+        for kind in ("zero_moved", "gain_step"):
             found = _step(trials, tried, c, kind, runs, within=within)
             if found is not None:
                 yield found
@@ -1220,15 +1232,35 @@ def _step(
     return now
 
 
-def _change(at: Tried, column: str, runs: Sequence[int], since: int, *, gain: bool) -> float:
-    """Return by how much the zero (or gain) of a column changes from a sample on, by least squares."""
-    num, den = 0.0, 0.0
+def _parts(
+    at: Tried, column: str, runs: Sequence[int], since: int, *, gain: bool
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield by run what a unit step of the zero (or gain) of a column adds, and the residual, less means."""
     for rest, e, block in _whitened(at, runs):
         x = block.data[column]
         part = _slope(rest, block, column) * (x if gain else 1.0) * (np.arange(len(x)) >= since)
-        part = part - part.mean(axis=1, keepdims=True)
-        num, den = num + float((part * e).sum()), den + float((part * part).sum())
-    return num / den if den > 0 else np.nan
+        yield part - part.mean(axis=1, keepdims=True), e
+
+
+def _change(at: Tried, column: str, runs: Sequence[int], since: int, *, gain: bool) -> float:
+    """Return by how much the zero (or gain) of a column changes from a sample on, by least squares."""
+    found = [
+        ((part * e).sum(), (part * part).sum()) for part, e in _parts(at, column, runs, since, gain=gain)
+    ]
+    num, den = np.sum(found, axis=0) if found else (0.0, 0.0)
+    return float(num / den) if den > 0 else np.nan
+
+
+def _differs(trials: Trials, agreed: Tried, c: Correction) -> bool:
+    """Return whether steps of each of the other runs explain what these leave: each has its own."""
+    if c.kind not in ("zero_moved", "gain_step") or c.numbers[1:]:
+        return False
+    runs, over, explained = [*agreed.left], 0.0, 0.0
+    whole = replace(agreed, log=trials.log((), runs))
+    for part, e in _parts(whole, c.columns[0], runs, 0, gain=c.kind == "gain_step"):
+        over += float((e * e).sum()) - EXCESS * e.size
+        explained += float((part * e).sum()) ** 2 / max(float((part * part).sum()), 1e-300)
+    return over > 0 and explained > EXPLAINS * over
 
 
 def _place(at: Tried, column: str, runs: Sequence[int], *, gain: bool) -> int:

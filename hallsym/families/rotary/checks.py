@@ -179,7 +179,9 @@ def implausible(fit: Any) -> Iterator[Fault]:
     # of the two the one that is farther from 1 V is the scaled one: only their ratio counts
     k = int(np.argmax(np.abs(np.log(sizes))))
     factor = 1 / power if k == int(np.argmax(sizes)) else power
-    correction = f"scale {fit.model.channels[k]} {factor:.9g}" if 1 / NEAR < ratio / power < NEAR else None
+    # an amplitude makes up for a scale: what else the fit leaves is another mistake, and its ratio tells none
+    alone = 1 / NEAR < ratio / power < NEAR and not (fit.goodness and fit.goodness.material)
+    correction = f"scale {fit.model.channels[k]} {factor:.9g}" if alone else None
     remedy = f" undo it with --correct '{correction}'." if correction else ""
     yield Fault(
         f"The amplitudes of {' and '.join(fit.model.channels)} differ by a factor of {ratio:.3g}, an ellipse "
