@@ -19,7 +19,7 @@ import scipy
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Claim, Fit
 from hallsym.estimation.decoding import columns_of, logged_columns, residuals
-from hallsym.estimation.factors import exact, summarise, summarise_at
+from hallsym.estimation.factors import exact, summarise
 from hallsym.estimation.goodness_of_fit import noise_followed
 from hallsym.estimation.identifiable import determine
 from hallsym.estimation.likelihood import Cost, cost_near, cost_of
@@ -47,8 +47,6 @@ CLOSELY = 1e-6
 """Share of the cost within which a trial is fitted: less than chance makes of it."""
 STEPS_TRIED = 40
 """Newton steps of a trial: what needs more is far from right."""
-MOST_NOISE = 0.05
-"""Noise of a corrected column over its range, or its period, from which on it explains any residual."""
 
 
 def claims_of(fit: Fit, given: Log) -> tuple[Claim, ...]:
@@ -276,11 +274,6 @@ class Trials:
     _noise: dict[str, dict[int, float]] = field(default_factory=dict, init=False)
 
     @cached_property
-    def runs_merge(self) -> bool:
-        """Whether all runs are read as one, by a tangent: none has offsets of its own, or remembers."""
-        return not (exact(self.model) or self.model.offsets or self.model.computed)
-
-    @cached_property
     def columns(self) -> tuple[str, ...]:
         """What the model reads, and time."""
         logged = dict.fromkeys((*logged_columns(self.model), "t_s"))
@@ -343,14 +336,9 @@ class Trials:
         self,
         corrections: Sequence[Correction] = (),
         runs: Sequence[int] | None = None,
-        *,
-        merged: bool = False,
     ) -> Log:
-        """Return the samples that are tried, of some runs, without mistakes; the last are kept.
-
-        `merged`: as one run.
-        """
-        key = tuple(corrections), runs and tuple(runs), merged
+        """Return the samples that are tried, of some runs, without mistakes; the last are kept."""
+        key = tuple(corrections), runs and tuple(runs)
         if key in self._last:
             return self._last[key]
         own = runs is not None and not {*self.model.period} & {*self.model.channels}
@@ -369,10 +357,6 @@ class Trials:
         if self.model.period:  # turns are counted at the full rate
             log = continuous(Log.from_arrays({RUN: run, **columns}, noise, self.given.meta), self.model)
             columns = {c: log.array(c) for c in self.columns}
-        for c in {c for one in corrections for c in one.columns if c in noise}:
-            reach = max(float(np.ptp(columns[c])), float(np.ptp(self.full[c])) if own else 0.0)
-            if noise[c].value > MOST_NOISE * min(reach, self.model.period.get(c, np.inf)):
-                raise InputError(f"Column {c} would hold noise alone; leave that correction out.")
         wanted = keep if runs is None else keep & np.isin(run, list(runs))
         few = SAMPLES if exact(self.model) else max(FEW // len(self.model.channels), 1)
         every = max(1, int(wanted.sum()) // few)
@@ -380,7 +364,7 @@ class Trials:
         pick = np.flatnonzero(wanted & (late % every == 0))  # ends of runs are seen in some
         if not len(pick):
             raise InputError("No sample would be left; leave that correction out.")
-        arrays = {RUN: run[pick] * (not merged), **{c: v[pick] for c, v in columns.items()}}
+        arrays = {RUN: run[pick], **{c: v[pick] for c, v in columns.items()}}
         self._last = {key: as_continuous(Log.from_arrays(arrays, noise, self.given.meta))}
         return self._last[key]
 
@@ -403,20 +387,18 @@ class Trials:
     def _fitted(
         self, corrections: tuple[Correction, ...], runs: Sequence[int] | None, closely: bool
     ) -> Tried | None:
+        log = self.log(corrections, runs)
         if not exact(self.model):
-            log = self.log(corrections, runs, merged=self.runs_merge)
             guess, noise = self.model.guess, noise_of(log, self.model).std
             begin = self.model.vector(guess(self.model, log)) if guess else self.model.nominal
+            if not (self.model.offsets or self.model.computed):  # one run is quicker
+                arrays = {RUN: np.zeros(log.rows), **{c: log.array(c) for c in self.columns}}
+                log = as_continuous(Log.from_arrays(arrays, log.noise, log.meta))
             state = optimum(log, self.model, noise, begin, (), None, silent, NEWTON)
-            if self.runs_merge:
-                return self.at(corrections, state.p, runs)
-            within = _within(log, self.model)
-            return Tried(corrections, state.fitted, state.p, self.model, within, log)
-        log = self.log(corrections, runs)
-        summary = summarise(log, self.model)
-        within, merged = _within(log, self.model), cost_of(summary.merged(), log.noise.std)
-        linear = linear_fit(merged)
-        first = np.clip(closed_form(merged, linear), *self.model.bounds)
+            return self.at(corrections, state.p, runs)
+        summary, within = summarise(log, self.model), _within(log, self.model)
+        merged = cost_of(summary.merged(), log.noise.std)
+        first = np.clip(closed_form(merged, linear_fit(merged)), *self.model.bounds)
         if not closely:
             within = summary.counts[None] @ within / merged.summary.counts[0]
             return Tried(corrections, merged, first, self.model, within, log)
@@ -426,23 +408,13 @@ class Trials:
         return Tried(corrections, cost_of(summary, log.noise.std), p, self.model, within, log)
 
     def at(
-        self,
-        corrections: Sequence[Correction],
-        p: np.ndarray,
-        runs: Sequence[int] | None,
-        *,
-        merged: bool = False,
+        self, corrections: Sequence[Correction], p: np.ndarray, runs: Sequence[int] | None
     ) -> Tried | None:
-        """Judge some runs without mistakes at parameters (n,), as one where they are `merged`."""
+        """Judge some runs without mistakes at parameters (n,)."""
         try:
-            log = self.log(corrections, runs, merged=merged)
-            std = log.noise.std
-            if exact(self.model):
-                cost = cost_of(summarise(log, self.model), std)
-            elif self.runs_merge:
-                cost = cost_of(summarise_at(log, self.model, p, {}, std), std)
-            else:
-                cost = cost_near(log, self.model, p, std, rounds=SETTLING if self.model.offsets else 1)
+            log = self.log(corrections, runs)
+            rounds = SETTLING if self.model.offsets else 1
+            cost = cost_near(log, self.model, p, log.noise.std, rounds=rounds)
             return Tried(tuple(corrections), cost, p, self.model, _within(log, self.model), log)
         except (InputError, np.linalg.LinAlgError):
             return None
@@ -554,21 +526,19 @@ def _screen(trials: Trials, base: Tried, runs: Sequence[int], *, free: bool) -> 
     fitted; with offsets of runs, whose tangent tells nothing where no reading follows, those of a few runs.
     Else at those of `base`.
     """
-    if free and (exact(trials.model) or not trials.runs_merge):
-        few = None if exact(trials.model) else runs[:: -(-len(runs) // FEWEST)]
+    model, p = trials.model, base.p
+    if free and (exact(model) or model.offsets or model.computed):
+        few = None if exact(model) else runs[:: -(-len(runs) // FEWEST)]
         first = trials.fitted((), few) if few else base
         return lambda c: first.rest(trials.fitted((c,), few, closely=False)) if first else np.inf
-    p, merged = base.p, trials.runs_merge
-    before = trials.at((), p, runs, merged=True) if merged else base
 
     def screened(c: Correction) -> float:
-        found = trials.at((c,), p, runs, merged=merged)
-        if not before or not found:
-            return np.inf
+        found = trials.at((c,), p, runs)
         try:
-            share = before.rest(
-                replace(found, p=refit(found.cost, p, (), CLOSELY, SETTLING)) if free else found
-            )
+            if found and free:
+                cost = cost_of(found.cost.summary.merged(), found.log.noise.std)
+                found = replace(found, cost=cost, p=refit(cost, p, (), CLOSELY, SETTLING))
+            share = base.rest(found)
         except np.linalg.LinAlgError:  # its noise is beyond numbers
             return np.inf
         return share if share >= 0 else np.inf  # of rounding
@@ -1026,20 +996,18 @@ def _of(c: Correction, runs: Sequence[int]) -> Correction:
 def _other_device(trials: Trials, now: Tried, agreed: Tried, runs: Sequence[int]) -> list[Found]:
     """Return runs that parameters, and gains of readings, of their own describe, where no mistake does.
 
-    As the other runs are `agreed` by theirs: so many parameters leave nothing but noise. Without gains the
-    noise is the same as in the other runs, with them it is in proportion to the gain.
+    As the other runs are `agreed` by theirs: so many parameters leave nothing but noise.
     """
     if agreed.mean(agreed.left) > EXCESS:
         return []
     floor = max(agreed.mean(agreed.left), 1.0)
     most = floor + _close(now, runs, floor)
-    for fitted in (lambda: trials.fitted((), runs), lambda: _with_gains(trials, now.p, runs)):
-        own = fitted()
-        if own is not None and own.left and own.mean(own.left) < most:
-            after = own.mean(own.deviance), own.mean(own.left)
-            one = Judged(now.mean(now.deviance), *after, Correction("other_device", runs=tuple(runs)))
-            return [Found(one.correction, one.explains)]
-    return []
+    own = _with_gains(trials, now.p, runs)
+    if own is None or not own.left or own.mean(own.left) >= most:
+        return []
+    after = own.mean(own.deviance), own.mean(own.left)
+    one = Judged(now.mean(now.deviance), *after, Correction("other_device", runs=tuple(runs)))
+    return [Found(one.correction, one.explains)]
 
 
 FREE = (1e-4, 1e4)
@@ -1053,6 +1021,8 @@ def _with_gains(trials: Trials, p: np.ndarray, runs: Sequence[int]) -> Tried | N
     """
     model = trials.model
     names = {c: f"gain of {c}" for c in model.channels if c not in model.period}
+    if not names:
+        return trials.fitted((), runs)
 
     def step(s: Signals, known: Mapping[str, ca.SX]) -> None:
         s["reading"] *= ca.vertcat(*(known[names[c]] if c in names else 1 for c in model.channels))
@@ -1061,7 +1031,8 @@ def _with_gains(trials: Trials, p: np.ndarray, runs: Sequence[int]) -> Tried | N
     begin = model.with_parameters({name: {"nominal": value} for name, value in model.named(p).items()})
     begin = replace(begin, closed_form=None, guess=None)
     wide = begin.with_step("electronics", step, effect="gains of another device", parameters=gains)
-    if not names or (own := replace(trials, model=wide).fitted((), runs)) is None:
+    own = replace(trials, model=wide).fitted((), runs)
+    if own is None:
         return None
     values = wide.named(own.p)
     undone = [Correction("gain_step", (c,), (values[name],), tuple(runs)) for c, name in names.items()]

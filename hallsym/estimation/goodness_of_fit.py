@@ -93,11 +93,6 @@ class GoodnessOfFit:
         return limit_of(self.uncertain, self.threshold)
 
     @property
-    def limit_anywhere(self) -> float:
-        """The same for one channel in one run."""
-        return OUTWEIGHS**0.5 * self.uncertain
-
-    @property
     def noise_estimated(self) -> bool:
         """Whether a large part of the noise floor is estimated noise."""
         return self.uncertain > 1 + KNOWN
@@ -121,7 +116,7 @@ class GoodnessOfFit:
     def material(self) -> bool:
         """Whether the residual is so much larger than the noise that a report begins with it."""
         over = self.significant and self.residual_over_noise > self.limit
-        return over or self.worst_least > self.limit_anywhere
+        return over or self.worst_least > OUTWEIGHS**0.5 * self.uncertain
 
     @property
     def sentence(self) -> str | None:
@@ -133,15 +128,12 @@ class GoodnessOfFit:
     def verdict(self) -> str:
         """The first sentence of a report, whether the model describes the log or not."""
         size = f"{self.residual_over_noise:#.3g} times the noise floor{self._guessed}"
-        return self.sentence or f"{self.what} describes this log: residual error is {size}{self._more}."
+        more = f"; up to {_times(self.limit)} is not worth reporting" if self.significant else ""
+        return self.sentence or f"{self.what} describes this log: residual error is {size}{more}."
 
     @property
     def _guessed(self) -> str:
         return ", which was estimated from the log" if self.noise_estimated else ""
-
-    @property
-    def _more(self) -> str:
-        return f"; up to {_times(self.limit)} is not worth reporting" if self.significant else ""
 
     def said(self, what: str) -> str | None:
         """Return `what` with its numbers; None where the fit is good."""

@@ -136,39 +136,27 @@ def test_a_scale_that_gains_absorb_is_no_mistake(six, column, factor):
     assert found(log_of(six | {column: factor * six[column]}), model="stage31") == []
 
 
-def test_gains_that_do_not_follow_tilts_are_a_legal_machine():
-    """And so are probes 10 mm from the origin, or gains that do not follow the height."""
-    near = [
-        {"channel": c, "position_m": place, "senses": senses}
-        for c, place, senses in zip(
-            HALL, ([0.01, 0.01], [-0.01, 0.01], [0.01, -0.01]), ([0, 1], [0, 1], [1, 0]), strict=True
-        )
-    ]
-    paper = published.values("table7_estimates")
-    flat = {n: 0.0 if n[:2] in ("b_", "c_") else v for n, v in paper.items()}
-    inner = {n: v for n, v in flat.items() if not n.startswith("H")}
-    level = {n: 0.0 if n.startswith("a_") else v for n, v in flat.items()}
-    for model, truth in (
-        (build("stage31"), flat),
-        (build("stage31"), level),
-        (build("stage31", meta=Meta(probes=near)), inner),
-    ):
-        log = log_of(simulate(model, truth, six_runs(), NoiseModel(SIGMA), seed=3))
-        result = fit(log, model, solver="direct")
-        assert (result.notes, result.claims) == ((), ())
-
-
-def test_spikes_do_not_look_like_another_run():
-    columns = record(seed=7, samples=100)
-    rng = np.random.default_rng(0)
-    for c in HALL:
-        columns[c] = columns[c] + np.where(rng.random(len(columns[c])) < 0.01, 2e-3, 0.0)
-    result = fit(with_noise(columns), "stage31", solver="direct")
-    assert any("isolated spikes" in note for note in result.notes)
-    assert not result.claims
-
-
 # -- what is claimed ---------------------------------------------------------------------------------------
+
+
+def test_a_reference_with_another_zero_in_a_run_or_in_each():
+    rotary = recordings.machine("rotary", "zero", Size(6, 80, 5e-3))
+    rotary.arrays["angle_ref_rad"][rotary.rows(2)] += 0.3
+    (claim,) = fit(rotary.log, rotary.model, solver="direct").claims
+    kind, column, size, *where = claim.correction.split()
+    assert (kind, column, where) == ("zero_moved", "angle_ref_rad", ["in", "2"])
+    assert float(size) == pytest.approx(0.3, rel=0.02)
+    zeroed = mistaken("gap zeroed, log", "halbach", "3604.0").recording
+    (claim,) = mistakes_of(zeroed.log, zeroed.built)
+    assert (claim.name, claim.columns, claim.correction) == ("zero_moved", ("z_ref_m",), None)
+
+
+def test_the_ends_of_some_runs_are_among_the_samples_that_are_tried():
+    r = recordings.machine("homed", "ends", Size(40, 300, 1e-2))
+    picked = claims.Trials(r.log, r.built, r.log.noise).log().array("t_s")
+    ends = {r.arrays["t_s"][r.rows(run)][-1] for run in r.runs}
+    assert len(picked) < len(r.arrays["t_s"]) / 2
+    assert ends & {*picked}
 
 
 @pytest.mark.slow

@@ -54,6 +54,7 @@ def test_rates_of_mistakes() -> None:
         ("reading clipped in 5%, run", "stage30", "2940.0"),  # what it leaves is noise up to chance
         ("all lengths x 1000, log", "stage30", "2944.0"),  # a file in mm, readings too
         ("reading x 1000, log", "homed", "2940.0"),  # of decades that do as well the one of a unit
+        ("reference x 0.001, log", "homed", "3604.0"),  # no tangent of the wrong fit knows its amplitude
         ("zero of a reference moved, few", "drawn", "2940.0"),  # inches would leave no noise of a reference
         ("reference averaged over 3, log", "stage31", "2944.0"),  # ends of runs are left out as spikes
         ("all references of 5 bits, log", "halbach", "2955.0"),  # their rounding is estimated as their noise
