@@ -55,6 +55,7 @@ def test_rates_of_mistakes() -> None:
         ("all lengths x 1000, log", "stage30", "2944.0"),  # a file in mm, readings too
         ("reading x 1000, log", "homed", "2940.0"),  # of decades that do as well the one of a unit
         ("reference x 0.001, log", "homed", "3604.0"),  # no tangent of the wrong fit knows its amplitude
+        ("reading 20 samples off, log", "homed", "2951.0"),  # without what it holds one run would be odd
         ("zero of a reference moved, few", "drawn", "2940.0"),  # inches would leave no noise of a reference
         ("reference averaged over 3, log", "stage31", "2944.0"),  # ends of runs are left out as spikes
         ("all references of 5 bits, log", "halbach", "2955.0"),  # their rounding is estimated as their noise
@@ -76,12 +77,7 @@ def test_the_right_one_of_several_hypotheses_is_named(kind: str, family: str, se
     [
         ("reference in counts, log", "drawn", "2944.0"),  # a gain makes up for a factor of two
         ("reading 20 samples off, run", "chip", "2945.0"),  # late by a third of a turn, held at its beginning
-        ("reading 20 samples off, log", "homed", "2951.0"),  # without what it holds one run would be odd
-        (
-            "reference averaged over 3, log",
-            "homed",
-            "2994.0",
-        ),  # ends of runs are all that is off
+        ("reference averaged over 3, log", "homed", "2994.0"),  # ends of runs are all that is off
         ("all readings x 0.001, log", "rotary", "2955.0"),  # amplitudes make up for each power of ten
         ("all readings averaged over 9, log", "halbach", "2955.0"),  # what no noise is as large as
     ],
