@@ -47,6 +47,8 @@ CLOSELY = 1e-6
 """Share of the cost within which a trial is fitted: less than chance makes of it."""
 STEPS_TRIED = 40
 """Newton steps of a trial: what needs more is far from right."""
+MOST_NOISE = 0.05
+"""Noise of a corrected column over its range, or its period, from which on it explains any residual."""
 
 
 def claims_of(fit: Fit, given: Log) -> tuple[Claim, ...]:
@@ -357,6 +359,10 @@ class Trials:
         if self.model.period:  # turns are counted at the full rate
             log = continuous(Log.from_arrays({RUN: run, **columns}, noise, self.given.meta), self.model)
             columns = {c: log.array(c) for c in self.columns}
+        for c in {c for one in corrections for c in one.columns if c in noise}:
+            reach = max(float(np.ptp(columns[c])), float(np.ptp(self.full[c])) if own else 0.0)
+            if noise[c].value > MOST_NOISE * min(reach, self.model.period.get(c, np.inf)):
+                raise InputError(f"Column {c} would hold noise alone; leave that correction out.")
         wanted = keep if runs is None else keep & np.isin(run, list(runs))
         few = SAMPLES if exact(self.model) else max(FEW // len(self.model.channels), 1)
         every = max(1, int(wanted.sum()) // few)
@@ -522,9 +528,8 @@ class Tried:
 def _screen(trials: Trials, base: Tried, runs: Sequence[int], *, free: bool) -> Callable[[Correction], float]:
     """Return what tells the share of what is left that a correction leaves in some runs, without its fit.
 
-    `free`: at parameters of its own: where a fit begins, or the optimum of the tangent where `base` was
-    fitted; with offsets of runs, whose tangent tells nothing where no reading follows, those of a few runs.
-    Else at those of `base`.
+    `free`: at parameters of its own: where a fit begins, the optimum of the tangent at `base`, or, as no
+    tangent knows offsets of runs where no reading follows, of a few runs. Else at those of `base`.
     """
     model, p = trials.model, base.p
     if free and (exact(model) or model.offsets or model.computed):
@@ -791,7 +796,9 @@ def _best(
         left = found.mean(found.left, runs)
         if c.mistake.keeps and left > CUT_OFF:  # a noise that is larger is not all that is wrong
             return
-        same = without_ends(_reach(c)) if c.kind in STEPS else before
+        n = abs(round(c.numbers[0])) if c.kind in STEPS else 0
+        touched = max(n // 2 if c.kind == "averaged" else -(-n // 3), 1)  # a third of them, at either end
+        same = without_ends(touched) if n else before
         inside = _inside(trials, found, c, runs) if c.kind == "clipped" else 0.0
         after = found.mean(found.deviance, runs) + inside + trials.quieter(c, runs)
         one = Judged(same, after, left + inside, c)
@@ -862,11 +869,6 @@ def _best(
     )  # fmt: skip
     single = not any(one.correction in other and assumes(one) == assumes(first) for one in others)
     return Found(first.correction, min(first.explains, 1.0), rivals, single)
-
-
-def _reach(c: Correction) -> int:
-    """Return a third of the samples at either end that a delay or a mean touches."""
-    return max(round(c.numbers[0]) // 2 if c.kind == "averaged" else -(-abs(round(c.numbers[0])) // 3), 1)
 
 
 def _close(base: Tried, runs: Sequence[int], left: float) -> float:
@@ -1031,8 +1033,7 @@ def _with_gains(trials: Trials, p: np.ndarray, runs: Sequence[int]) -> Tried | N
     begin = model.with_parameters({name: {"nominal": value} for name, value in model.named(p).items()})
     begin = replace(begin, closed_form=None, guess=None)
     wide = begin.with_step("electronics", step, effect="gains of another device", parameters=gains)
-    own = replace(trials, model=wide).fitted((), runs)
-    if own is None:
+    if (own := replace(trials, model=wide).fitted((), runs)) is None:
         return None
     values = wide.named(own.p)
     undone = [Correction("gain_step", (c,), (values[name],), tuple(runs)) for c, name in names.items()]
