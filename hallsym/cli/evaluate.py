@@ -82,7 +82,7 @@ def run(options: Namespace) -> int:
     then = ["hallsym", "codegen", options.calibration, "-o", "decoupler"]
     if changed and not amiss:
         then = _diagnose(options, changed[0])
-    elif amiss or faults or len(judged) < len(logs):
+    elif amiss or faults or len(judged) < len(logs) or known.model.computed:
         then = []
     common.say(options, record, lambda: _text(options, known, logs), wrote=wrote, then=then)
     for said in (*faults, *(amiss if options.json or len(logs) > 1 else [])):

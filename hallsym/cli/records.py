@@ -118,6 +118,15 @@ class EffectInfo(TypedDict):
     families: dict[str, Record]
 
 
+class FaultInfo(TypedDict):
+    """Of `info FAULT`: a fault of samples, which no model describes."""
+
+    fault: str
+    link: str
+    meaning: str
+    remedy: str
+
+
 class SelfCalibration(TypedDict):
     """Of `fit --reference`: each wave with its source, and the error on the holdout turn."""
 
@@ -413,7 +422,7 @@ COMMANDS: dict[str, tuple[type, ...]] = {
     "export": (Export,),
     "fit": (SelfCalibration,),
     "fleet": (Fleet, Rings),
-    "info": (Listing, Corrections, LogInfo, Guesses, CampaignInfo, ModelInfo, EffectInfo, Curve),
+    "info": (Listing, Corrections, LogInfo, Guesses, CampaignInfo, ModelInfo, EffectInfo, FaultInfo, Curve),
     "plan": (Plan, Turns),
     "report": (Page,),
     "sensitivity": (Sensitivity,),

@@ -271,7 +271,7 @@ def sentence(
     if verdict == LARGER and noise is not None:
         return f"{LARGER.capitalize()}. {said}, and that is noise: {noise_text(noise, stated=True)}."
     if not effects:
-        known = goodness_on_all(setup, found.end)
+        known = goodness_on_all(setup, found.start.base)
         place = f", {known.where}" if known.material and not setup.split else ""
         if small:
             said = f"The error on the {judges} is {before}, no more than noise alone gives ({floor}), but"
@@ -379,6 +379,11 @@ def _effect(found: Validation, validated: Validated, spread: np.ndarray, price: 
     known = {n: float(values[j]) for n, j in index.items()}
     std = {n: None if j in stuck or j in unseen else float(spread[j]) for n, j in index.items()}
     remark = score.effect.remark(known, {n: np.inf if s is None else s for n, s in std.items()})
+    priced, p = model, fit.base.p
+    if before.computed:  # by another effect, with which no C is generated: the price of this one alone
+        before = found.start.base.model
+        priced = score.variant.make(before)
+        p = priced.vector({n: v for n, v in model.named(p).items() if n in priced.names})
     return FoundEffect(
         name=score.effect.name,
         link=score.effect.link,
@@ -388,7 +393,7 @@ def _effect(found: Validation, validated: Validated, spread: np.ndarray, price: 
         shrinkage=validated.judged.value,
         interval=validated.judged.interval(),
         share=_share(found, validated.errors.metric**2 - found.after.metric**2),
-        cost=grown(before, model) + (f"; {price(before, model, fit.base.p)}" if price else ""),
+        cost=grown(before, priced) + (f"; {price(before, priced, p)}" if price else ""),
         text=score.variant.text,
         at_bound=ended,
         note=" ".join(filter(None, (remark, _note(ended, blind)))),

@@ -325,19 +325,23 @@ QUIET = ("no gap", LARGER)
 def decide(setup: Setup, found: Validation, noise: ResidualNoise | None = None) -> Verdict:
     """Return "explained" if the named causes close the gap, "no gap" if there is neither cause nor gap.
 
-    Named causes must lower the gap by the threshold. A residual that is a gap by itself (`remains`) makes
-    the verdict "unexplained", unless the causes close nearly all of the excess and what they leave is less
-    than the noise (estimates from few runs are off), or the excess is `noise` (of the model with the found
-    effects): then nothing remains to explain, and without a cause the noise is larger than stated.
+    Named causes must lower the gap by the threshold, or lower it and explain a run that differs from most
+    others: an error within a fitted run shows on no other. A residual that is a gap by itself (`remains`)
+    makes the verdict "unexplained", unless the causes close nearly all of the excess and what they leave is
+    less than the noise (estimates from few runs are off), or the excess is `noise` (of the model with the
+    found effects): then nothing remains to explain, and without a cause the noise is larger than stated.
     """
     before, after = found.before.metric, found.metric
-    named = found.named and 1 - after / before >= setup.threshold
+    start = goodness_on_all(setup, found.start.base)
+    end = start if found.end is found.start.base else goodness_on_all(setup, found.end)
+    least = 0.0 if start.odd_run and not end.material else setup.threshold
+    named = found.named and after < before * (1 - least)
     base, metric = (found.base, after) if named else (found.start.base, before)
     rest = found.rest if base is found.end else lack_of_fit(base, setup.runs)
     loud = noise is not None and all_noise(setup, found, rest, metric, noise)
     gap = not loud and remains(setup, found, rest, metric)
     if not named and not loud:
-        gap = gap or goodness_on_all(setup, found.end).material
+        gap = gap or start.odd_run or end.material
     if named:
         floor, policy = found.floor.metric, setup.policy
         most = closed(before, after, floor) >= 1 - policy.minor

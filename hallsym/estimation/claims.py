@@ -179,9 +179,10 @@ def claim(found: Found) -> Claim:
     """Return a mistake as a claim; without a correction where the log does not single one out."""
     c, rivals = found.correction, tuple(other.text for other in found.rivals)
     if not found.explains:
+        odd = run_list(c.runs)
         text = (
-            f"One calibration describes all runs but {run_list(c.runs)}, and no mistake that was tried "
-            f"explains these: look at what they hold, or leave them out with --holdout {run_list(c.runs)}."
+            f"One calibration describes all runs but {odd}, and no mistake that was tried explains these: "
+            f"look at what they hold, or leave them out of a fit with --holdout {odd}."
         )
         return Claim("odd_runs", text, runs=c.runs, rivals=(c.text,))
     if found.differs:

@@ -53,6 +53,8 @@ CERTAIN = 3.0
 contradicts the noise (the same probability, 0.13 %)."""
 CHANCE = 0.01
 """Probability that noise alone makes the worst of all runs and channels count. The usual 1 %."""
+UNKNOWN = 1e9
+"""Multiple of the noise that stands for the usual one where runs are too few."""
 MAD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
@@ -66,10 +68,11 @@ class GoodnessOfFit:
     `degrees_of_freedom`: effective ones: readings less estimates, fewer where noise is autocorrelated.
     `by_run`, `by_channel`: rms residual over its standard deviation by noise. `worst_run`, `worst_channel`:
     the channel in one run with the largest residual, `worst` times the noise; `worst_least` is the lower end
-    of that multiple, at 99 % for all runs and channels together. `uncertain`: factor within which the noise
-    floor is known; `threshold`: relative decrease of the error that is worth reporting. `noise`: the residual
-    over the stated noise, if it is noise; else 0. `what`: the model that does not describe the log where the
-    residual is material; `next_command` finds the cause.
+    of that multiple, at 99 % for all runs and channels together; `usual`: its median over the runs, which the
+    noise of this channel does not exceed. `uncertain`: factor within which the noise floor is known;
+    `threshold`: relative decrease of the error that is worth reporting. `noise`: the residual over the stated
+    noise, if it is noise; else 0. `what`: the model that does not describe the log where the residual is
+    material; `next_command` finds the cause.
     """
 
     residual_over_noise: float
@@ -81,6 +84,7 @@ class GoodnessOfFit:
     worst_channel: str
     worst: float
     worst_least: float
+    usual: float = UNKNOWN
     uncertain: float = 1.0
     threshold: float = WORTH_REPORTING
     noise: float = 0.0
@@ -116,7 +120,12 @@ class GoodnessOfFit:
     def material(self) -> bool:
         """Whether the residual is so much larger than the noise that a report begins with it."""
         over = self.significant and self.residual_over_noise > self.limit
-        return over or self.worst_least > OUTWEIGHS**0.5 * self.uncertain
+        return over or self.worst_least > OUTWEIGHS**0.5 * min(self.uncertain, max(self.usual, 1.0))
+
+    @property
+    def odd_run(self) -> bool:
+        """Whether one run has much more than noise in a channel, by the noise of most runs there."""
+        return self.worst_least > OUTWEIGHS**0.5 * max(self.usual, 1.0)
 
     @property
     def sentence(self) -> str | None:
@@ -195,7 +204,8 @@ def goodness_of(point: Point, estimated: int) -> GoodnessOfFit:
     # a run's offsets are estimated from it alone, the parameters from all runs
     cell = np.maximum(counts - offsets / K - estimated * counts / (K * max(counts.sum(), 1.0)), 0.5)[:, None]
     ratio = relative / cell
-    coloured = _inflation(ratio, cell)
+    typical = np.median(ratio, axis=0)
+    coloured = _inflation(ratio, typical, cell)
     independent = np.maximum(cell / coloured, 1.0)
     least = ratio * independent / chdtri(independent, CHANCE / ratio.size)
     run, channel = np.unravel_index(int(np.argmax(least)), least.shape)
@@ -210,17 +220,18 @@ def goodness_of(point: Point, estimated: int) -> GoodnessOfFit:
         worst_channel=channels[channel],
         worst=float(np.sqrt(ratio[run, channel])),
         worst_least=float(np.sqrt(least[run, channel])),
+        usual=float(np.sqrt(typical[channel])) if len(used) >= FEWEST_RUNS else UNKNOWN,
     )
 
 
-def _inflation(ratio: np.ndarray, cell: np.ndarray) -> float:
+def _inflation(ratio: np.ndarray, typical: np.ndarray, cell: np.ndarray) -> float:
     """Variance of the cost of a channel in a run over that of white noise, 1 or more.
 
-    `ratio`: (r, K) mean squares over the noise's, `cell`: (r, 1) their degrees of freedom. Coloured noise has
-    fewer independent samples than samples, in every run; the median ignores runs that are wrong.
+    `ratio`: (r, K) mean squares over the noise's, `typical`: (K,) their medians, which ignore runs that are
+    wrong, `cell`: (r, 1) their degrees of freedom. Coloured noise has fewer independent samples than samples,
+    in every run.
     """
-    usual = np.maximum(np.median(ratio, axis=0), 1e-300)
-    spread = (ratio / usual - 1.0) / np.sqrt(2.0 / cell)
+    spread = (ratio / np.maximum(typical, 1e-300) - 1.0) / np.sqrt(2.0 / cell)
     return max(1.0, float(MAD * np.median(np.abs(spread))) ** 2)
 
 

@@ -245,9 +245,10 @@ def by_signal(source: Source, where: str) -> Source:
     seen = _pairs(head, keys)
     varying = [n for n in head if _pairs(head, [*keys, n]) > seen]
     numbers = [n for n in varying if n in free and n not in (*keys, *stamps)]
+    measured = {n for n in numbers if split_unit(n)[1]}  # beside a value: a record of several quantities
     numbers = [n for n in numbers if len(numbers) == 1 or any(map(VALUES.fullmatch, words[n]))]
     numbers = [n for n in numbers if (_steps(head[n]) % 1 != 0).any()] or numbers  # beside raw values
-    if len(numbers) != 1:
+    if len(numbers) != 1 or measured - {*numbers}:
         return source
     named = zip(*(source.labels(n) for n in head if n in keys), strict=True)
     labels, (value,) = np.array([" ".join(filter(None, row)) for row in named]), numbers

@@ -95,8 +95,7 @@ def influence_of_gains(
     error = flat.reshape(len(model.channels), len(model.pose), space.points).transpose(1, 2, 0)
     if not np.isfinite(error).all():
         raise InputError(
-            f"Model {model.name} cannot be decoded everywhere in the workspace;"
-            " give another one with --campaign."
+            f"Model {model.name} cannot be decoded everywhere in its workspace with these values: check them."
         )
     if not error.any():
         raise InputError(

@@ -129,7 +129,7 @@ class Sorting:
         return {
             "source": self.source,
             "unit": self.unit,
-            "offset_unit": self.reading_unit,
+            "offset_unit": self.reading_unit.replace("v", "V"),
             "nominal": self.nominal,
             "bin_width": self.width,
             "repeatability": self.repeatability,
@@ -181,11 +181,12 @@ def sort_sensors(
             f"The fields of {readings.where} must differ: a gain is the change of a sensor's reading between"
             " two known fields, and no sensor was read in two."
         )
-    if np.median(gain[at]) <= 0:
+    if not 0 < (usual := float(np.median(gain[at]))) < np.inf:
+        fall = "fall as the field grows: state the fields, or the readings, with the other sign"
+        stay = "do not change with the field: check their column, and the fields and their unit"
         raise InputError(
-            f"The readings of {readings.where} fall as the field grows (median gain"
-            f" {np.median(gain[at]):.3g} {readings.gain_unit}); state the fields, or the readings, with the"
-            " other sign."
+            f"The readings of {readings.where} {fall if usual < 0 else stay} (median gain {usual:.3g}"
+            f" {readings.gain_unit})."
         )
     if readings.reference is not None:
         drift = _drift(_lines(readings, readings.reference)[1], readings)

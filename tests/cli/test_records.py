@@ -35,6 +35,7 @@ LINES = [
     f"info {DATA}/encoder/campaign.toml",
     "info rotary",
     "info hysteresis",
+    "info clock_jitter",
     "info c.json",
     "plan --like-paper --runs 4",
     f"plan --reference constant-speed --model rings3 --after {DATA}/ring --accuracy 0.01deg",

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from twins import COLUMNS, HALL, SIGMAS, cost_on, record, true_model, with_noise
 
 from hallsym import bundled_campaign, fit, load_fit, read_log
-from hallsym.estimation.goodness_of_fit import goodness_of
+from hallsym.estimation.goodness_of_fit import UNKNOWN, goodness_of
 from hallsym.estimation.optimum import refit
 from hallsym.estimation.task import lower_bound
 from hallsym.log import Log, Meta, Noise, Sigma
@@ -80,6 +80,11 @@ def test_residuals_are_counted_by_run_and_channel():
     each = found.degrees_of_freedom / 171
     assert found.worst_least**2 == pytest.approx(found.worst**2 * each / chi2.isf(0.01 / 171, each), rel=5e-3)
     assert found.by_channel["hall_c_m"] > max(found.by_channel[c] for c in HALL[:2])
+    # an estimated floor may be wrong by 2, but no channel has more noise than in most runs
+    assert found.usual == pytest.approx(1.0, abs=0.05)
+    odd = replace(found, worst_least=2.0).judged(2.0)
+    assert odd.material
+    assert not replace(odd, usual=UNKNOWN).material
 
 
 @pytest.mark.slow

@@ -165,7 +165,7 @@ def _goodness(fit: Fit) -> str:
     if fitted is not None:
         more = ", more than noise" if fitted.significant else ""
         said += f" (expected 1 +- {number(fitted.scatter, 2)}, 1 sigma){more}; "
-        said += f"residual over noise {fitted.where}"
+        said += f"the residual is {fitted.where}"
     if not 0 < cost < TOO_SMALL:
         return said
     guessed = any(sigma.source == "estimated" for sigma in fit.noise.sigmas.values())
@@ -281,6 +281,9 @@ def _next(fit: Fit, calibration: str) -> tuple[str, str]:
     if fit.undetermined_by_log:
         words = ["hallsym", "sensitivity", calibration, str(fit.log.path or "LOG")]
         return "Next, see which recording determines the rest:", shlex.join(words)
+    if fit.model.computed:  # of the history of a whole log, which a controller does not have
+        words = ["hallsym", "evaluate", calibration, "LOG"]
+        return "Next, decode other logs:", shlex.join(words)
     words = ["hallsym", "codegen", calibration, "-o", "firmware"]
     return "Next, write the decoder for the controller:", shlex.join(words)
 

@@ -26,14 +26,15 @@ def sorting_content(found: Sorting, matching: Matching | None = None) -> Content
     share = percent(expected / len(found.sensors), 1)
     gains = (
         f"gain: median {number(np.median(found.gain), 6)} {found.unit}, from"
-        f" {100 * (found.relative.min() - 1):+.2f} to {100 * (found.relative.max() - 1):+.2f} % of"
+        f" {100 * (found.relative.min() - 1):+.3g} to {100 * (found.relative.max() - 1):+.3g} % of"
         f" {number(found.nominal, 6)}; standard uncertainty (1 sigma) of one"
         f" {_percent(float(np.median(found.std)) / found.nominal)}"
     )
     wrong = f"in a wrong bin: {expected:.0f} +- {spread:.0f} (1 sigma) sensors expected ({share})"
     return Content(
         f"Sensors of {found.source}",
-        f"{found.source}: {sensors} sorted into {counted(len(found.bins), 'bin')}.",
+        f"{found.source}: {sensors} sorted into {counted(len(found.bins), 'bin')}"
+        + (f"; {_chosen(matching)}." if matching else "."),
         [
             Section("bins", "Bins", [*bin_blocks(found), wrong, *_bench(found)]),
             Section("sets", "Sets", matching_blocks(matching) if matching else []),
@@ -83,6 +84,17 @@ def matching_blocks(found: Matching) -> list[Block | str]:
         f"the uncertainty of the gains alone makes {number(found.floor * factor)} {unit} rms; {beside}",
         *set_blocks(found),
     ]
+
+
+def _chosen(found: Matching) -> str:
+    """Return how many sets were chosen, and the error to expect of them."""
+    error = found.expected(found.matched)
+    factor, unit = _unit(found, error)
+    sets = counted(len(found.places), "sensor")
+    return (
+        f"{counted(len(found.matched.sets), 'matched set')} of {sets} for {found.model.name}: an error of"
+        f" {number(error * factor)} {unit} rms is expected"
+    )
 
 
 def way_table(found: Matching) -> Table:
