@@ -223,7 +223,7 @@ def _located(
         larger = np.array([max(loud.by_sensor[c], 1.0) for c in plain.model.channels])
         plain = replace(plain, covariance=plain.covariance * np.outer(larger, larger))
         floor *= loud.ratio
-    if found.before.metric > floor * (1 + setup.policy.negligible):
+    if verdict not in QUIET or found.before.metric > floor * (1 + setup.policy.negligible):
         screened, noisy = selection.screened_at(start), verdict in QUIET
         gap = located(plain, runs, screened, found.faults, found.variance, noisy=noisy)
     if verdict != "unexplained":
