@@ -19,7 +19,7 @@ from hallsym.families import build, default_model, family_called, load_effects, 
 from hallsym.families.machine_file import Machine
 from hallsym.families.published import values as published_values
 from hallsym.families.recording import corrected
-from hallsym.files import json_text
+from hallsym.files import MOST_NUMBER, json_text
 from hallsym.log import Log, Meta, Noise, check_noise_keys, parse_column_option, read_log
 from hallsym.log.formats import files_of, open_source
 from hallsym.log.groups import GroupedSource
@@ -155,7 +155,7 @@ def column_numbers(text: str, columns: Sequence[str], option: str, example: str)
     key, _, value = text.partition("=")
     column, factor = column_of(key, columns, option)
     found = [number * factor for number in _floats(value)]
-    good = len(found) == 1 + example.count(":") and all(map(math.isfinite, found))
+    good = len(found) == 1 + example.count(":") and all(abs(value) <= MOST_NUMBER for value in found)
     wanted = f"numbers with the unit in the name, such as {key}={example.partition('=')[2]}"
     require(good, option, wanted, text)
     return column, found

@@ -14,6 +14,7 @@ from hallsym.families.machine_file import read_machine
 from hallsym.model import Model
 from hallsym.report.results.tolerances import errors_along
 from hallsym.simulation.paper import DESIGNED
+from hallsym.toml import column_of
 from hallsym.uncertainty import error_model
 from hallsym.uncertainty.ranges import read_tolerances, read_value
 from hallsym.uncertainty.tolerances import tolerances
@@ -84,7 +85,8 @@ def _along(options: Namespace, model: Model) -> int:
     if "=" in options.along:
         ((column, (low, high)),) = common.column_ranges([options.along], columns, "--along").items()
     else:
-        column, low, high = options.along, 0.0, model.period.get(options.along, 0.0)
+        column = column_of(options.along, columns, "--along")[0]
+        low, high = 0.0, model.period.get(column, 0.0)
     if not high > low:
         raise InputError(
             f"{column} does not repeat: state its range, such as --along {columns[0]}=-1e-3:1e-3."

@@ -87,7 +87,7 @@ def _check(options: Namespace) -> None:
     if (".csv" in kinds) != bool(options.step) or (options.step and not options.duration):
         raise InputError("A .csv at a clock needs --duration and --step, such as --duration 10s --step 1ms.")
     if bool(kinds & {*GCODE}) != bool(options.chord):
-        raise InputError("G-code needs --chord, such as --chord 0.1um -o path.ngc.")
+        raise InputError("G-code needs both --chord and -o, such as --chord 0.1um -o path.ngc.")
     if options.duration and not kinds - {".json"}:
         raise InputError("--duration belongs to a .csv or to G-code; give one with -o.")
 
@@ -163,11 +163,12 @@ def choice_content(choice: trajectory.Choice, shape: str) -> Content:
     """Return the chosen curve in a sentence, then the methods beside each other, the chosen one marked."""
     best, limit = choice.best, choice.tolerance_m
     within = "" if limit is None else f", within the tolerance of {number(1e6 * limit, 4)} um"
-    why = "the most exact" if limit is None else "fewest numbers to store"
+    why = "; the most exact" if limit is None else "; fewest numbers to store"
+    why = why if len(choice.candidates) > 1 else ""
     how = "bounded over the whole range" if choice.curve.error_kind == "bounded" else "at the points"
     answer = (
         f"{best.method.words}: {choice.curve.control_points} control points, error "
-        f"{number(1e6 * best.error_m, 4)} um ({how}){within}; {why}."
+        f"{number(1e6 * best.error_m, 4)} um ({how}){within}{why}."
     )
     head = ["", "method", "points", "control", "numbers", "max error [um]", "why not"]
     table = Table(head, [_row(choice, c) for c in choice.candidates], "methods", left=2, wordy=(6,))

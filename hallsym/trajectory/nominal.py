@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, nearest, require
+from hallsym.files import MOST_NUMBER
 from hallsym.units import with_unit
 
 Array = np.ndarray
@@ -53,8 +54,9 @@ class Nominal:
         with np.errstate(all="ignore"):
             found = self._evaluate(t, np.float64, lambda name, x: FUNCTIONS[name](x))
         points = np.array([np.broadcast_to(p, t.shape) for p in found]).T
-        if not np.isfinite(points).all():
-            row, k = np.argwhere(~np.isfinite(points))[0]
+        good = np.abs(points) <= MOST_NUMBER
+        if not good.all():
+            row, k = np.argwhere(~good)[0]
             raise InputError(
                 f"The curve's {self.coordinates[k][: self.coordinates[k].rindex('_')]} is not a finite "
                 f"number at {self.parameter} = {t[row]:.9g}; change the expression or its range."

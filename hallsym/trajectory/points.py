@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from hallsym.errors import InputError, require
+from hallsym.files import MOST_NUMBER
 from hallsym.log.formats import open_source
 from hallsym.trajectory.factorisation import check_increasing
 from hallsym.trajectory.nominal import COORDINATES
@@ -44,10 +45,11 @@ def points_of(
     Raises `InputError` for shapes that do not fit, numbers that are none, repeated or unordered parameters.
     """
     points = np.asarray(points, float)
-    good = points.ndim == 2 and points.shape[1] == len(coordinates) and len(points) >= 2
-    require(good, f"The {name}", f"at least 2 rows of {', '.join(coordinates)}", f"shape {points.shape}")
-    if not np.isfinite(points).all():
-        row = int(np.argwhere(~np.isfinite(points))[0, 0])
+    fit = points.ndim == 2 and points.shape[1] == len(coordinates) and len(points) >= 2
+    require(fit, f"Table {name}", f"at least 2 rows of {', '.join(coordinates)}", f"shape {points.shape}")
+    good = np.abs(points) <= MOST_NUMBER
+    if not good.all():
+        row = int(np.argwhere(~good)[0, 0])
         raise InputError(f"Point {row + 1} of {name} is not a finite number.")
     lengths = [k for k, c in enumerate(coordinates) if c.endswith("_m")]
     if t is None:

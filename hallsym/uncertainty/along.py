@@ -18,8 +18,10 @@ LEAST_SQUARES, CLOSED_FORM = "least-squares", "closed-form"
 """Decoders that every model may have, beside the formulas that it states by name."""
 NOTHING = 1e-9
 """Error [m or rad] that counts as none: a decoder that has converged rounds below it."""
+EQUAL, ROUNDING = 1e-6, 1e-12
+"""Part of an error's range, and size [m or rad], by which extremes of a wave differ by rounding."""
 PLACES = 360
-"""Places along a range."""
+"""Places along a period; a range that is none has its end too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,12 +30,14 @@ class ErrorsAlong:
 
     `at`: (n,) places of `coordinate` [SI]. `error`: (n_pose, n) decoded less true [SI]. `waves`: of each
     coordinate of the pose, the number of waves over the range that is largest; 0 where the error is constant.
+    `ends`: of the range.
     """
 
     coordinate: str
     at: np.ndarray
     error: np.ndarray
     waves: tuple[int, ...]
+    ends: tuple[float, float]
 
     @property
     def peak(self) -> np.ndarray:
@@ -47,9 +51,10 @@ class ErrorsAlong:
 
     def extremes(self, k: int) -> Iterator[tuple[float, float]]:
         """Largest and least error of coordinate `k` of the pose, each with its place."""
+        same = EQUAL * float(np.ptp(self.error[k])) + ROUNDING
         for sign in (1.0, -1.0):
             e = sign * self.error[k]
-            at = int(np.argmax(e >= e.max() - NOTHING))  # the first of those that are equal but for rounding
+            at = int(np.argmax(e >= e.max() - same))  # the first of those that are equal but for rounding
             yield float(self.error[k, at]), float(self.at[at])
 
 
@@ -65,8 +70,8 @@ def errors_along(
 ) -> ErrorsAlong:
     """Return the error that a machine with `values` of the parameters of `model` makes along a coordinate.
 
-    No noise, no zero deviations. `over`: coordinate of pose or state, from and to [SI], the end left out; one
-    period of the first that repeats by default. `at`: where the others rest [SI]; a typical pose of the
+    No noise, no zero deviations. `over`: coordinate of pose or state, from and to [SI], a period without its
+    end; one of the first that repeats by default. `at`: where the others rest [SI]; a typical pose of the
     model by default, state 0. `plain`: the model whose nominal values decode, `model` without effects by
     default. `decoder`: "least-squares" over all channels, "closed-form", or a formula of the model. Raises
     `InputError`.
@@ -76,15 +81,16 @@ def errors_along(
     if over is None:
         raise InputError(f"No coordinate of {model.name} repeats: state the range to look at.")
     coordinate, low, high = over
-    places = low + (high - low) * np.arange(samples) / samples
+    whole = bool(np.isclose(high - low, model.period.get(coordinate, 0.0)))
+    places = np.linspace(low, high, samples + (not whole), endpoint=not whole)
     rest = place(model, {coordinate: 0.0} | dict(at or {}))
-    pose, state = (np.tile(values[:, None], samples) for values in rest)
+    pose, state = (np.tile(values[:, None], len(places)) for values in rest)
     for names, true in ((model.pose, pose), (model.state, state)):
         if coordinate in names:
             true[names.index(coordinate)] = places
     errors = decoding_errors(model, plain, pose, state, "state smaller deviations", decoder)
     error = errors(model.vector(values)[None])[:, 0]
-    return ErrorsAlong(coordinate, places, error, tuple(_waves(e) for e in error))
+    return ErrorsAlong(coordinate, places, error, tuple(_waves(e) for e in error), (low, high))
 
 
 Errors = Callable[[np.ndarray], np.ndarray]
@@ -159,10 +165,9 @@ class ErrorModel:
     @property
     def expected_waves(self) -> dict[int, tuple[str, ...]]:
         """Waves per period -> effects of the family that cause them; empty where the range is no period."""
-        places = self.causes[0][2].at
-        whole = self.model.period.get(self.coordinate)
-        span = (places[1] - places[0]) * len(places)
-        return self.model.family.waves if whole and np.isclose(span, whole) else {}
+        low, high = self.causes[0][2].ends
+        whole = np.isclose(high - low, self.model.period.get(self.coordinate, 0.0))
+        return self.model.family.waves if whole else {}
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready record in SI units."""

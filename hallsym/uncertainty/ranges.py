@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, nearest, require
+from hallsym.files import MOST_NUMBER
 from hallsym.model import Model, Parameter
 from hallsym.toml import Table, positive
 from hallsym.uncertainty.gum import DIVISORS, QUANTILES
@@ -148,7 +149,7 @@ def read_value(model: Model, text: str, where: str) -> tuple[str, float]:
         value = float(said)
     except ValueError:
         value = np.nan
-    require(np.isfinite(value), where, f"NAME=VALUE with a number, such as {key}=0.01", text)
+    require(abs(value) <= MOST_NUMBER, where, f"NAME=VALUE with a number, such as {key}=0.01", text)
     return parameter.name, value * factor
 
 

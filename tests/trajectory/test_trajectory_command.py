@@ -87,7 +87,7 @@ def test_points(capsys, tmp_path):
         ([*CYCLOID, "--points", "9", "-o", "a.csv"], "needs --duration and --step"),
         ([*CYCLOID, "--points", "9", "--step", "1s"], "needs --duration and --step"),
         ([*CYCLOID, "--points", "9", "--duration", "1s"], "belongs to a .csv or to G-code"),
-        ([*CYCLOID, "--points", "9", "--chord", "1um"], "G-code needs --chord"),
+        ([*CYCLOID, "--points", "9", "--chord", "1um"], "G-code needs both --chord and -o"),
         ([*CYCLOID, "--points", "9", "--value", "r=2mm"], "gives a name twice"),
         (["none.json"], "does not exist"),
         (["none.json", "--tolerance", "1um"], "is made already"),

@@ -202,8 +202,7 @@ DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
 
 def span(found: ErrorModel) -> tuple[float, float, float, str, str]:
     """Return first place, end of the range, factor, unit and name of the coordinate that moves."""
-    column, at = found.coordinate, found.causes[0][2].at
-    low, high = float(at[0]), float(at[0] + (at[1] - at[0]) * len(at))
+    column, (low, high) = found.coordinate, found.causes[0][2].ends
     factor, unit, name = readable(column, found.model.period)
     if unit != "deg":
         factor, unit = fitting(column.rpartition("_")[2], max(abs(low), abs(high)))
