@@ -40,8 +40,8 @@ ranges TOML <optional>          ranges file (docs/plan.md)
     s, 1, 2 and 3 Hz
 -o, --output TOML               campaign file to write
 @plots save pictures
---criterion NAME <=D>           {", ".join(CRITERIA)}: volume of the uncertainty ellipsoid, mean
-    variance, worst-determined combination, worst position uncertainty over the ranges (default D)
+--criterion NAME <=D>           {", ".join(CRITERIA)}: volume of the uncertainty ellipsoid, or worst
+    position uncertainty over the ranges (default D)
 --runs N <int>                  at most so many runs
 --minutes M <float>             at most so long, with resets
 --after LOG                     a log that is recorded already, which the plan complements

@@ -93,5 +93,7 @@ def _decoded(fit: Fit, log: Log, references: Sequence[str], *, errors: bool) -> 
         pose = decode.pose(block, offsets[block.run])
         pose = pose - np.array([block.data[c] for c in references]) if errors else pose
         found.append(np.vstack([np.full(pose.shape[1], block.run), pose]))
+    if not found:
+        raise InputError(f"{log.name} holds no samples; there is nothing to decode.")
     run, *each = np.concatenate(found, axis=1)
     return {"run": run.astype(np.int64), **dict(zip(model.pose, each, strict=True))}
