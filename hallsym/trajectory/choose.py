@@ -18,7 +18,7 @@ from hallsym.errors import InputError, nearest
 from hallsym.output import Step
 from hallsym.trajectory.bounds import bound, is_polyline
 from hallsym.trajectory.curve import Curve, FgForm, Form, SplineForm
-from hallsym.trajectory.factorisation import BASES, BERNSTEIN, factorise, orthogonalise
+from hallsym.trajectory.factorisation import BASES, factorise, orthogonalise
 from hallsym.trajectory.nominal import Nominal, nominal, read_span
 from hallsym.trajectory.points import Points, points_of, read_points
 
@@ -67,15 +67,6 @@ def accurate(name: str, u: Array, points: Array, control: int = 0) -> Form:
     return FgForm(basis, factorise(basis, t).solve(points))
 
 
-def by_elimination(u: Array, points: Array, control: int = 0) -> Form:
-    """Solve the same equations as `bernstein` by LU of the collocation matrix."""
-    basis = BERNSTEIN
-    try:
-        return FgForm(basis, np.linalg.solve(FgForm(basis, np.eye(len(u))).evaluate(u), points))
-    except np.linalg.LinAlgError:
-        raise InputError("The collocation matrix is singular in float64; LU cannot solve it.") from None
-
-
 def spline(degree: int, u: Array, points: Array, control: int = 0) -> Form:
     """Put a spline with not-a-knot ends through points."""
     from scipy.interpolate import make_interp_spline  # slow to load
@@ -91,7 +82,6 @@ METHODS = (
         nodes=chebyshev_nodes,
     ),
     Method("trigonometric", "trigonometric, HRA", partial(accurate, "trigonometric")),
-    Method("bernstein-lu", "Bernstein, LU", by_elimination),
     Method(
         "bernstein-ls", "Bernstein, least squares, HRA", partial(accurate, "bernstein"), most=MOST_FITTED,
         fitted=True,
