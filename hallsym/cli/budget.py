@@ -23,6 +23,7 @@ from hallsym.report.results.budget import (
     budget_content,
     comparison_table,
     curve_blocks,
+    expanded,
     position_content,
     position_words,
     recorded_table,
@@ -140,6 +141,8 @@ def _position(options: Namespace) -> int:
     coverage = f"{100 * settings.level:g} %" if settings.level else f"k = {settings.coverage:g}"
     place = position_words(fit.model.rest | at, fit.model.period)
     basis = f"fit covariance: {fit.covariance_record.method}"
+    if recorded:
+        basis = f"{expanded(worst, f'the worst place in {options.log}')}; {basis}"
     more: list[Block | str] = [comparison_table(list(found.values()))] if found else []
     more += [recorded_table(recorded, f"U ({coverage}), recorded workspace")] if recorded else []
     more += [recorded_table(grid.recorded, f"U ({coverage}), map")] if grid and options.range else []
