@@ -137,7 +137,7 @@ def report(
 
     `effects`: found; `confused`: the confusable ones; `noise`: of the residual.
     """
-    quiet = verdict in QUIET
+    quiet = verdict in QUIET or not effects
     named = () if quiet else effects
     after = found.before.metric if quiet else found.metric
     metric = Metric(found.before.metric, after, found.floor.metric)
@@ -270,20 +270,24 @@ def sentence(
     said = f"The error on the {judges} is {before}, {times:.3g} x the noise floor"
     if verdict == LARGER and noise is not None:
         return f"{LARGER.capitalize()}. {said}, and that is noise: {noise_text(noise, stated=True)}."
-    if not effects:
+    place = ""
+    if small or not effects:
         known = goodness_on_all(setup, found.start.base)
         place = f", {known.where}" if known.material and not setup.split else ""
-        if small:
+        if small and (place or not effects):
             said = f"The error on the {judges} is {before}, no more than noise alone gives ({floor}), but"
             place = f" the residual of the readings {'is not noise' if place else 'has a shape'}{place}"
-        return f"{said}{place}; no known effect explains it."
+    if not effects:
+        alone = found.effects and known.material and not goodness_on_all(setup, found.end).material
+        causes = f"{listed([e.name for e in found.effects])} explains it, but does not lower the error"
+        return f"{said}{place}; {causes if alone else 'no known effect explains it'}."
     confused = [(e.name, instead_of(e.name)) for e in effects]  # such as time_skew (or first_order_lag)
     named = listed([f"{name} (or {' or '.join(others)})" if others else name for name, others in confused])
     rest = "" if verdict == "explained" else "; the rest has no known cause"
     open_ = closed(gap.before, gap.after, gap.floor) < 1 - setup.policy.minor
     if verdict == "explained" and open_ and noise is not None and noise.larger:
         rest = f"; the rest depends on no logged quantity: noise, {noise.ratio:.3g} x the noise floor"
-    return f"{said}. With {named} it falls to {after}{rest}."
+    return f"{said}{place}. With {named} it falls to {after}{rest}."
 
 
 def next_step(setup: Setup, found: Validation) -> tuple[str, ...]:

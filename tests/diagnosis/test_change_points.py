@@ -156,3 +156,17 @@ def test_the_next_run_judges_in_the_place_of_one_that_slips() -> None:
     d = diagnose(changed, "stage31", holdout=(2, 6))
     assert d.validation_runs == (2, 7)
     assert (d.verdict, d.ranked[0]) == ("explained", "mount_slip")
+
+
+@pytest.mark.slow
+def test_a_step_in_a_fitted_run_is_a_gap_though_the_others_do_not_show_it() -> None:
+    log = machine("multisine", seed=31, thin=6)
+    columns = {c: log.array(c).copy() for c in log.columns}
+    inside = np.flatnonzero(columns["run"] == 5)
+    columns["hall_b_m"][inside[len(inside) // 2 :]] += 5e-6
+    d = diagnose(Log.from_arrays(columns, log.noise, log.meta), "stage31")
+    assert d.verdict == "unexplained"
+    assert "worst in run 5, channel hall_b_m" in d.sentence
+    assert "mount_slip explains it, but does not lower the error" in d.sentence
+    assert d.metric.after == d.metric.before
+    assert not d.next_step
