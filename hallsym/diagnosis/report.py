@@ -278,9 +278,10 @@ def sentence(
             said = f"The error on the {judges} is {before}, no more than noise alone gives ({floor}), but"
             place = f" the residual of the readings {'is not noise' if place else 'has a shape'}{place}"
     if not effects:
-        alone = found.effects and known.material and not goodness_on_all(setup, found.end).material
-        causes = f"{listed([e.name for e in found.effects])} explains it, but does not lower the error"
-        return f"{said}{place}; {causes if alone else 'no known effect explains it'}."
+        cause = "no known effect explains it"
+        if found.effects and known.material and not goodness_on_all(setup, found.end).material:
+            cause = f"{listed([e.name for e in found.effects])} explains it, but does not lower the error"
+        return f"{said}{place}; {cause}."
     confused = [(e.name, instead_of(e.name)) for e in effects]  # such as time_skew (or first_order_lag)
     named = listed([f"{name} (or {' or '.join(others)})" if others else name for name, others in confused])
     rest = "" if verdict == "explained" else "; the rest has no known cause"

@@ -332,16 +332,16 @@ def decide(setup: Setup, found: Validation, noise: ResidualNoise | None = None) 
     found effects): then nothing remains to explain, and without a cause the noise is larger than stated.
     """
     before, after = found.before.metric, found.metric
-    start = goodness_on_all(setup, found.start.base)
-    end = start if found.end is found.start.base else goodness_on_all(setup, found.end)
-    least = 0.0 if start.odd_run and not end.material else setup.threshold
-    named = found.named and after < before * (1 - least)
+    named, amiss = found.named and 1 - after / before >= setup.threshold, False
+    if not named:
+        start = goodness_on_all(setup, found.start.base)
+        end = start if found.end is found.start.base else goodness_on_all(setup, found.end)
+        named = found.named and after < before and start.odd_run and not end.material
+        amiss = not named and (start.odd_run or end.material)
     base, metric = (found.base, after) if named else (found.start.base, before)
     rest = found.rest if base is found.end else lack_of_fit(base, setup.runs)
     loud = noise is not None and all_noise(setup, found, rest, metric, noise)
-    gap = not loud and remains(setup, found, rest, metric)
-    if not named and not loud:
-        gap = gap or start.odd_run or end.material
+    gap = not loud and (amiss or remains(setup, found, rest, metric))
     if named:
         floor, policy = found.floor.metric, setup.policy
         most = closed(before, after, floor) >= 1 - policy.minor
