@@ -1,6 +1,6 @@
 """Fit a model with effects, exact and non-linear, by Gauss-Newton steps on passes over the log."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import count
@@ -10,15 +10,13 @@ import numpy as np
 from hallsym.diagnosis.normal_equations import Columns, NormalEquations, normal_equations
 from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.scores import bic
-from hallsym.estimation.covariance import RunScatter, pressed
-from hallsym.estimation.factors import SINGULAR, pseudo_inverse, unit_scale
+from hallsym.estimation.covariance import Octaves, White, estimated, pressed
+from hallsym.estimation.factors import SINGULAR, unit_scale
 from hallsym.estimation.identifiable import gauged, scales
 from hallsym.estimation.optimum import DROP, PASSES
+from hallsym.log.batches import Batch
 from hallsym.model import Model, Variant
 from solvers import bounded_step, gauss_newton
-
-FEWEST = 30
-"""Fewest values of an octave of frequency in which noise has a variance of its own, known to a quarter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,69 +101,32 @@ class Refitted:
         """Index of the free parameters on which no fitted sample depends, see `seen`."""
         return tuple(np.array(self.base.free, dtype=int)[~seen(self.base, self.products)].tolist())
 
-    def covariance(self) -> np.ndarray:
-        """Covariance of all parameters, as of a fit; 0 where fixed, unseen or at a bound.
+    @cached_property
+    def _moving(self) -> np.ndarray:
+        """Which of the free parameters have an uncertainty: those that are seen and at no bound."""
+        return np.flatnonzero(~np.isin(self.base.free, (*self.at_bound(), *self.unseen())))
 
-        Each parameter collects the noise at the frequencies of its own column: the covariance is a sandwich
-        (White, Econometrica 50 (1982) 1, doi:10.2307/1912526) of the products of the columns by octave of
-        frequency and of the variance of the residual there, of which the parameters have taken their part.
-        Errors of the model go with the motion of a unit, and not with a frequency: where units certainly
-        scatter more than by white noise, no uncertainty is smaller than their scatter says.
-        """
-        moving = np.flatnonzero(~np.isin(self.base.free, (*self.at_bound(), *self.unseen())))
+    def covariance(self) -> np.ndarray:
+        """Covariance of all parameters, as of a fit; 0 where fixed, unseen or at a bound."""
+        moving, units = self._moving, self.tangents.likelihood[self.fitted]
         free = np.array(self.base.free, dtype=int)[moving]
-        octaves, values = self._by_octave()
-        known = octaves[:, moving[:, None], moving]
-        M = known.sum(axis=0)
-        inverse = pseudo_inverse(M)
-        left = values - np.einsum("ij,oji->o", inverse, known)
-        power = octaves[:, -1, -1] / np.maximum(left, 0.5 * values)
-        found = inverse @ np.tensordot(power, known, 1) @ inverse
-        units, size = self.tangents.likelihood[self.fitted], self.variance(1.0)
-        scatter = RunScatter.of(units[:, moving[:, None], moving], units[:, moving, -1])
-        if scatter.ratio > scatter.limit(size):
-            more = np.diag(scatter.covariance(size)) / np.maximum(np.diag(found), 1e-300)
-            found *= np.sqrt(np.outer(more.clip(1.0), more.clip(1.0)))
+        octaves = Octaves.of(self._pieces(), offsets=len(self.base.model.offsets))
+        known = None if octaves.white else octaves.reduced(np.eye(len(self.base.free))[:, moving])
+        size = self.variance(1.0)
+        found = estimated(units[:, moving[:, None], moving], units[:, moving, -1], White(size, size), known)
         full = np.zeros((len(self.base.p),) * 2)
-        full[np.ix_(free, free)] = found
-        along, rows = self._gauge(M, free)
+        full[np.ix_(free, free)] = found.covariance
+        along, rows = self._gauge(units[:, moving[:, None], moving].sum(axis=0), free)
         within = np.eye(len(full)) - along @ rows
         return np.asarray(within @ full @ within.T)
 
-    def _by_octave(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return products (octaves, p, p) of free parameters and residual, and how many values are in each.
-
-        By frequency, the slowest octave last. Of the fitted runs, the offsets of each eliminated; a run that
-        is long is taken in parts.
-        """
-        base, work, t = self.base, Columns(self.base), self.tangents
-        fitted = {run for unit in self.fitted for run in t.runs[unit]}
-        follow = dict(zip(t.order, t.follow, strict=True))
-        octaves = int(np.log2(base.log.rows)) + 2  # of the longest run that may be, and the mean
-        sums, counts = np.zeros((octaves, work.n + 1, work.n + 1)), np.zeros(octaves)
+    def _pieces(self) -> Iterator[tuple[Batch, np.ndarray]]:
+        """Yield the fitted runs in pieces, with the whitened columns of each, see `Columns.columns`."""
+        work, fitted = Columns(self.base), {run for unit in self.fitted for run in self.tangents.runs[unit]}
         for batch, weights in work.weighed():
-            columns = np.tensordot(base.whiten, work.columns(batch, weights)[0], axes=(1, 1))
-            for run, at in batch.parts():
-                if run not in fitted:
-                    continue
-                part = columns[:, work.z :, at] + follow[run].T @ columns[:, : work.z, at]
-                n = part.shape[2]
-                waves = np.fft.rfft(part) / np.sqrt(n)
-                each = np.full(n // 2 + 1, 2.0)  # a frequency and its negative
-                each[n // 2] = 1.0 + (n % 2)
-                each[0] = 1.0
-                octave = np.log2(n / np.maximum(np.arange(n // 2 + 1), 0.5)).astype(int)
-                for o in np.unique(octave):
-                    own = waves[:, :, octave == o] * np.sqrt(each[octave == o])
-                    flat = own.swapaxes(0, 1).reshape(work.n + 1, -1)
-                    sums[o] += (flat @ flat.conj().T).real
-                    counts[o] += len(part) * each[octave == o].sum()
-        while len(counts) > 1 and counts[-1] < FEWEST:
-            sums[-2] += sums[-1]
-            counts[-2] += counts[-1]
-            sums, counts = sums[:-1], counts[:-1]
-        seen = counts > 0
-        return sums[seen], counts[seen]
+            used = np.repeat(np.isin(batch.runs, [*fitted]), np.diff(batch.edges))
+            columns = work.columns(batch, weights)[0][..., used]
+            yield batch.of_runs(fitted), np.tensordot(columns, work.whiten, (1, 1)).swapaxes(1, 2)
 
     def values(self) -> np.ndarray:
         """Return the parameters (n,) within the gauges of the model, as a fit gives them."""

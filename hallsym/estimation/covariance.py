@@ -1,34 +1,44 @@
-"""Standard uncertainties of a fit: from the likelihood, or from the scatter between runs.
+"""Standard uncertainties of parameters: from the noise by octave of frequency, or the scatter between runs.
+
+Noise: each parameter collects the noise at the frequencies of its own column. The covariance is the sandwich
+(H. White, Econometrica 50 (1982) 1, doi:10.2307/1912526) of the information and of the covariance of the
+score: products of the columns by octave of frequency, times the variance of the residual there. White noise
+leaves the inverse of the information.
 
 The scatter between runs: bias-reduced linearisation, CR2 (R. M. Bell and D. F. McCaffrey, Survey Methodology
 28 (2002) 169; with the offsets of the runs as absorbed effects: J. E. Pustejovsky and E. Tipton, J. Bus.
 Econ. Stat. 36 (2018) 672, doi:10.1080/07350015.2016.1247004).
 
 Its coordinates are those in which the information of all runs together is the unit matrix: K K^T is the
-covariance by the likelihood, J_g = K^T I_g K is the leverage of run g, and the J_g add up to 1. If noise
-alone acts, the score t_g of a run at the optimum has the covariance J_g - J_g^2; (1 - J_g)^(-1/2) t_g has
-J_g, the contribution of that run's errors to the estimate. The sum of their squares is the covariance of the
-estimate, whatever acts on a run as a whole.
+covariance by the likelihood, J_g = K^T I_g K is the leverage of run g, and the J_g add up to 1. If white
+noise alone acts, the score t_g of a run at the optimum has the covariance J_g - J_g^2; (1 - J_g)^(-1/2) t_g
+has J_g, the contribution of that run's errors to the estimate. The sum of their squares is the covariance of
+the estimate, whatever acts on a run as a whole.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
+from scipy.fft import dct
 from scipy.special import chdtri, ndtr
 
 from hallsym.estimation.calibration import CombinationEstimate
-from hallsym.estimation.factors import solve, unit_scale
+from hallsym.estimation.decoding import columns_of, residual_of
+from hallsym.estimation.factors import SINGULAR, eliminate, program, pseudo_inverse, solve, unit_scale
 from hallsym.estimation.goodness_of_fit import CERTAIN, GoodnessOfFit, goodness_of
 from hallsym.estimation.identifiable import (
-    ROUNDING,
     UNDETERMINED,
     Determination,
     linear_combinations,
     opened,
 )
-from hallsym.estimation.likelihood import Cost, Point
+from hallsym.estimation.likelihood import Cost, Point, offsets_of
+from hallsym.log import Log
+from hallsym.log.batches import Batch, Weigh, batches
+from hallsym.log.derived import extended
 from hallsym.model import Model
 from hallsym.model.influence import reading_slopes
 from hallsym.model.model import combination, linear
@@ -37,46 +47,174 @@ TOGETHER = 128
 """Runs per block: larger blocks cost memory and save no time."""
 ALONE = 1e-3
 """1 - leverage below which a run determines a direction alone: its score does not show its error there."""
+STEEP, BEND = 2 * np.log(2.0), np.log(2.0)
+"""Change of the logarithm of the power of noise from octave to octave, that of a random walk, and the change
+of that slope: white noise becomes 1/f noise within an octave."""
+WHITE, CHANCE = 1.2, 0.05
+"""Ratio of the variances of noise in two octaves that must be seen before it counts as white, since it makes
+a standard uncertainty a tenth too small; and the probability that white noise does not count as white."""
+ENOUGH = 100_000
+"""Samples from which the residual is judged to be white or not: whole runs, evenly spread."""
+ENTRIES = 500_000
+"""Numbers of the columns of a piece of a log in memory at once: 4 MB."""
+
+
+@dataclass(frozen=True, eq=False)
+class Octaves:
+    """Products of whitened columns by octave of frequency, the offsets of each run eliminated.
+
+    `products`: (octaves, c, c) of the parameters' columns and the residual, which is last. `values`:
+    (octaves,) how many values the residual has there, those that offsets take not counted. The slowest octave
+    is the last.
+    """
+
+    products: np.ndarray
+    values: np.ndarray
+
+    @staticmethod
+    def of(*logs: Iterable[tuple[Batch, np.ndarray]], offsets: int = 0) -> "Octaves":
+        """Return those of some logs, each in pieces with the columns (offsets + c, K, samples) of each.
+
+        A run that continues in the next piece is taken in parts. Where the columns are the residual alone,
+        its `offsets` have taken their values from the mean.
+        """
+        sums, counts = dict[int, np.ndarray](), dict[int, float]()
+
+        def add(octave: np.ndarray, products: np.ndarray, values: np.ndarray) -> None:
+            for o, more, count in zip(octave.tolist(), products, values.tolist(), strict=True):
+                sums[o] = sums.get(o, 0.0) + more
+                counts[o] = counts.get(o, 0.0) + count
+
+        def eliminated(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
+            whole = sum(products.sum(axis=0) for _, products, _ in parts)
+            along = np.vstack([eliminate(whole, offsets)[1], np.eye(len(whole) - offsets)])
+            own = pseudo_inverse(whole[:offsets, :offsets])
+            for octave, products, values in parts:
+                taken = np.einsum("ij,oji->o", own, products[:, :offsets, :offsets])
+                add(octave, along.T @ products @ along, values - taken)
+
+        for pieces in logs:
+            run, parts = None, list[tuple[np.ndarray, np.ndarray, np.ndarray]]()
+            for runs, octave, products, values in (one for own in pieces for one in _by_octave(*own)):
+                if products.shape[2] == 1 or not offsets:
+                    mean = np.arange(len(octave)) == 0
+                    add(octave, products.sum(axis=0), len(runs) * (values - offsets * mean))
+                    continue
+                for k, found in zip(runs, products, strict=True):
+                    if parts and k != run:
+                        eliminated(parts)
+                        parts = []
+                    run = k
+                    parts.append((octave, found, values))
+            if parts:
+                eliminated(parts)
+        order = sorted(sums)
+        return Octaves(*(np.array([known[o] for o in order]) for known in (sums, counts)))
+
+    @property
+    def white(self) -> bool:
+        """Whether the variances of the residual in all octaves certainly are alike, within about `WHITE`.
+
+        All are known as well as that, and differ no more than by chance (likelihood ratio).
+        """
+        seen = self.values >= 1.0
+        values, power = self.values[seen], self.products[seen, -1, -1] / self.values[seen]
+        ratio = np.maximum(power / np.average(power, weights=values), 1e-300)
+        deviance = float(values @ (ratio - 1.0 - np.log(ratio)))
+        known = values.min() >= 2.0 / (WHITE - 1.0) ** 2
+        return bool(known and deviance <= chdtri(max(len(values) - 1, 1), CHANCE))
+
+    @property
+    def said(self) -> str:
+        """How far the residual is from white noise."""
+        power, _ = self.power(self.values)
+        return f"the variance of the residual differs {power.max() / power.min():.1f} x between octaves"
+
+    def power(self, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the variance of the noise in each octave and its degrees of freedom, (octaves,).
+
+        `left`: (octaves,) values of the residual that parameters do not take. The logarithm of the variance
+        is smoothed by differences of `STEEP` and `BEND` (E. T. Whittaker, Proc. Edinb. Math. Soc. 41
+        (1922) 63, doi:10.1017/S0013091500077853): of the slowest octaves parameters leave little or nothing,
+        and they continue the slope of the faster ones.
+        """
+        seen = np.maximum(left, 1e-3)
+        size = np.log(np.maximum(self.products[:, -1, -1], 1e-300) / seen) + 1.0 / np.maximum(seen, 2.0)
+        slope, bend = (np.diff(np.eye(len(seen)), k, axis=0) for k in (1, 2))
+        prior = slope.T @ slope / STEEP**2 + bend.T @ bend / BEND**2
+        weight = np.where(seen > 1.0, 0.5 * seen, 0.0)
+        covariance = pseudo_inverse(np.diag(weight) + prior)
+        return np.exp(covariance @ (weight * size)), 2.0 / np.diag(covariance)
+
+    def scores(self, inverse: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the covariance of the score by octave, (o, p, p), and its degrees of freedom, (o,).
+
+        `inverse`: (p, p) of the information, by which the parameters take their part of the residual.
+        """
+        known = self.products[:, :-1, :-1]
+        power, dof = self.power(self.values - np.einsum("ij,oji->o", inverse, known))
+        return known * power[:, None, None], dof
+
+    def reduced(self, basis: np.ndarray) -> "Octaves":
+        """Return those of other parameters q, of which those of the columns are basis (p, q) times q."""
+        wide = np.zeros((len(basis) + 1, basis.shape[1] + 1))
+        wide[:-1, :-1], wide[-1, -1] = basis, 1.0
+        return Octaves(wide.T @ self.products @ wide, self.values)
+
+
+def _by_octave(
+    batch: Batch, columns: np.ndarray
+) -> Iterator[tuple[tuple[int, ...], np.ndarray, np.ndarray, np.ndarray]]:
+    """Yield of b blocks of one length the runs, octaves, products (b, octaves, c, c) and numbers of values.
+
+    `columns`: (c, K, samples). Octave o: periods of 2^o to 2^(o + 1) samples. By cosines, which are nearly
+    uncorrelated for slow noise too: a block of a random walk ends elsewhere than it begins.
+    """
+    lengths = np.diff(batch.edges)
+    cuts = [0, *(np.flatnonzero(np.diff(lengths)) + 1).tolist(), len(lengths)]
+    for first, last in pairwise(cuts):
+        n, (c, K) = int(lengths[first]), columns.shape[:2]
+        here = columns[..., batch.edges[first] : batch.edges[last]].reshape(c, K, last - first, n)
+        octave = np.log2(2 * n / np.maximum(np.arange(n), 0.5)).astype(int)
+        ends = np.append(np.flatnonzero(np.diff(octave, prepend=-1)), n)
+        waves = dct(here, norm="ortho").transpose(2, 0, 3, 1)
+        own = [waves[:, :, a:b].reshape(last - first, c, -1) for a, b in pairwise(ends.tolist())]
+        products = np.stack([part @ part.swapaxes(1, 2) for part in own], axis=1)
+        yield batch.runs[first:last], octave[ends[:-1]], products, K * np.diff(ends).astype(float)
 
 
 @dataclass(frozen=True, eq=False)
 class RunScatter:
-    """Scores of r runs about n parameters.
+    """Scores of r runs about p parameters.
 
-    `root`: (n, n) K. `leverage`: (r, n, n) J. `scores`: (r, n) t. `by_noise`: (n, n) covariance by noise of
-    the contributions of all runs, 1 where the noise of a run is stationary; `lost`: sum over runs of the
-    trace of J times the contribution of that run, by which scores are smaller.
+    `root`: (p, n) K, n <= p: of the directions that the runs determine. `leverage`: (r, n, n) J. `scores`:
+    (r, n) t. `by_noise`: (n, n) covariance of the sum of the scores by noise, 1 where it is white.
     """
 
     root: np.ndarray
     leverage: np.ndarray
     scores: np.ndarray
     by_noise: np.ndarray
-    lost: float
 
     @staticmethod
-    def of(runs: np.ndarray, scores: np.ndarray, known: np.ndarray | None = None) -> "RunScatter":
+    def of(runs: np.ndarray, scores: np.ndarray, noise: np.ndarray | None = None) -> "RunScatter":
         """Change to the coordinates from those of the parameters.
 
-        `runs`: (r, n, n) information, which becomes the leverage in its place. `scores`: (r, n). `known`:
-        (r, n, n) covariance of the scores by the noise, None where it is the information.
+        `runs`: (r, p, p) information, overwritten. `scores`: (r, p). `noise`: (p, p) covariance of the sum of
+        the scores by noise, None where it is the information.
         """
         information = runs.sum(axis=0)
         unit = unit_scale(information)
         values, axes = np.linalg.eigh(information * np.outer(unit, unit))
-        K = unit[:, None] * axes / np.sqrt(np.maximum(values, ROUNDING * values[-1]))
-        by_noise, lost = np.zeros_like(K), 0.0
-        for some in _parts(len(runs)):
-            J = runs[some] = K.T @ runs[some] @ K
-            brought = J if known is None else K.T @ known[some] @ K
-            by_noise += brought.sum(axis=0)
-            lost += float(np.einsum("rij,rji->", J, brought))
-        return RunScatter(K, runs, scores @ K, by_noise, lost)
+        some = values > SINGULAR * values.max(initial=0.0)
+        K = unit[:, None] * axes[:, some] / np.sqrt(values[some])
+        J = np.concatenate([K.T @ runs[own] @ K for own in _parts(len(runs))])
+        return RunScatter(K, J, scores @ K, np.eye(K.shape[1]) if noise is None else K.T @ noise @ K)
 
     @cached_property
     def _powers(self) -> tuple[np.ndarray, float]:
         """Sum over runs of J^2, (n, n), and of the trace of J^3."""
-        squares, cubes = np.zeros_like(self.root), 0.0
+        squares, cubes = np.zeros_like(self.by_noise), 0.0
         for J in self._leverages():
             square = J @ J
             squares += square.sum(axis=0)
@@ -88,22 +226,22 @@ class RunScatter:
 
     @cached_property
     def expected(self) -> float:
-        """Sum of squares of all scores that noise alone predicts."""
+        """Sum of squares of all scores that noise alone predicts; that of each run by its leverage."""
         squares, _ = self._powers
-        return float(np.trace(self.by_noise)) - 2.0 * self.lost + float(np.sum(squares * self.by_noise))
+        return float(np.trace(self.by_noise)) - float(np.sum(squares * self.by_noise))
 
     @cached_property
     def ratio(self) -> float:
         """Sum of squares of all scores over its expectation by noise; 1 without scores."""
         squares = float(np.einsum("ri,ri->", self.scores, self.scores))
-        return squares / self.expected if self.expected > ALONE * len(self.root) else 1.0
+        return squares / self.expected if self.expected > ALONE * len(self.by_noise) else 1.0
 
     @cached_property
     def degrees_of_freedom(self) -> float:
         """Of `ratio`: 2 mean^2 / variance, for leverages as they are."""
         squares, cubes = self._powers
         variance = float(np.trace(squares)) - 2.0 * cubes + float(np.sum(squares * squares))
-        mean = len(self.root) - float(np.trace(squares))
+        mean = len(self.by_noise) - float(np.trace(squares))
         return max(mean**2 / variance, 1.0) if variance > ALONE**2 else 1.0
 
     def limit(self, size: float) -> float:
@@ -122,7 +260,7 @@ class RunScatter:
     @cached_property
     def _alone(self) -> np.ndarray:
         """Leverage in the directions that a run determines alone, of all runs, (n, n)."""
-        out = np.zeros_like(self.root)
+        out = np.zeros_like(self.by_noise)
         for J in self._leverages():
             share, axes = np.linalg.eigh(J)
             share = np.where(1.0 - share > ALONE, 0.0, share)
@@ -135,11 +273,13 @@ class RunScatter:
         A direction that one run determines alone gets the variance by noise, scaled by the scatter of all
         directions together and by no less than `least`.
         """
+        share, axes = np.linalg.eigh(self._alone)
+        root = (axes * np.sqrt(np.maximum(share, 0.0))) @ axes.T
         parts = zip(_parts(len(self.scores)), self._adjusted(), strict=True)
         grown = np.concatenate(
             [np.einsum("rij,rj->ri", adjust, self.scores[some]) for some, (_, adjust) in parts]
         )
-        inner = grown.T @ grown + max(self.ratio, least) * self._alone
+        inner = grown.T @ grown + max(self.ratio, least) * (root @ self.by_noise @ root)
         return self.root @ inner @ self.root.T
 
     def degrees_of_freedom_of(self, gradients: np.ndarray) -> np.ndarray:
@@ -176,6 +316,8 @@ OVERSTATED = 0.1
 """Cost per degree of freedom below which noise was overstated or there is none (a plan): it is not used."""
 AT_BOUND = 1e-6
 """Part of a bound, or of the width of the bounds, within which a parameter counts as at it (`pressed`)."""
+BY_OCTAVES = "noise by octave of frequency"
+"""Method of a covariance by noise that is not white."""
 BY_RUNS = "runs as blocks"
 """Method of a covariance that comes from the scatter between runs."""
 
@@ -205,8 +347,20 @@ class Uncertainty:
         return self.goodness.cost_per_degree_of_freedom
 
 
-def uncertainty(point: Point, found: Determination) -> Uncertainty:
-    """Return the uncertainties where `point` is the optimum of its cost."""
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """The samples that a cost was made of: a log, the noise of its columns, and the weight of each sample."""
+
+    log: Log
+    sigma: Mapping[str, float]
+    keep: Weigh | None = None
+
+
+def uncertainty(point: Point, found: Determination, samples: Sequence[Samples] = ()) -> Uncertainty:
+    """Return the uncertainties where `point` is the optimum of its cost.
+
+    `samples`: of each log that the cost is made of. Without them noise counts as white, as that of a plan.
+    """
     cost, p, model = point.cost, point.p, point.cost.summary.model
     at_bound = _at_bound(model.bounds, p, found)
     axes = found.coordinates(at_bound)
@@ -214,22 +368,26 @@ def uncertainty(point: Point, found: Determination) -> Uncertainty:
     basis = axes.basis(len(p))
     fit = goodness_of(point, fitted)
     covariance = np.zeros((len(p), len(p)))
-    known = _Estimate(covariance, "likelihood", "there was nothing to estimate")
+    known = Estimated(covariance, "likelihood", "there was nothing to estimate", White(1.0, 1.0).freedom)
     if fitted:
         runs, more = point.information(1.0, moving), _excess_noise_of(point, moving)
+        octaves = _octaves(point, moving, samples)
         if len(axes.dependent):
             own = basis[moving]
             runs, more = own.T @ runs @ own, None if more is None else own.T @ more @ own
+            octaves = octaves and octaves.reduced(own)
         scores = 0.5 * axes.slope(point.run_gradients)
-        known = _estimate(runs, more, scores, cost.weights, fit)
+        weights = cost.weights
+        runs *= weights[:, None, None]
+        known = estimated(runs, scores * weights[:, None], White.of(fit), octaves, more)
         covariance = basis @ known.covariance @ basis.T
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     determined = np.isin(np.arange(len(p)), moving) & ~_loose(model.names, std, found)
     dof = np.full(len(p), np.inf)
-    dof[moving] = known.degrees_of_freedom(basis[moving])
+    dof[moving] = known.dof(basis[moving])
 
     def dof_of(gradient: np.ndarray) -> float | None:
-        of_it = float(known.degrees_of_freedom(axes.slope(gradient)[None])[0])
+        of_it = float(known.dof(axes.slope(gradient)[None])[0])
         return of_it if np.isfinite(of_it) else None
 
     combinations, lost = _combinations(cost, p, covariance, found, determined, dof_of)
@@ -257,20 +415,71 @@ def _by_log(
     return not determined[k] and p.name not in found.structural and p.width > 0 and k not in at_bound
 
 
+def _octaves(point: Point, moving: np.ndarray, samples: Sequence[Samples]) -> Octaves | None:
+    """Return what the parameters `moving` and the residual have in each octave; None where noise is white.
+
+    The columns of the parameters are computed only where the residual is not white.
+    """
+    cost, none = point.cost, np.zeros(0, dtype=int)
+    if not samples:
+        return None
+    logs = [
+        (point if part is cost else part.at(point.p[chosen]), chosen, own)
+        for (part, chosen), own in zip(cost.shares, samples, strict=True)
+    ]
+    offsets = len(cost.summary.model.offsets)
+    if Octaves.of(*(_columns(at, chosen, none, own) for at, chosen, own in logs), offsets=offsets).white:
+        return None
+    return Octaves.of(*(_columns(at, chosen, moving, own) for at, chosen, own in logs), offsets=offsets)
+
+
+def _columns(
+    point: Point, chosen: np.ndarray, moving: np.ndarray, samples: Samples
+) -> Iterator[tuple[Batch, np.ndarray]]:
+    """Yield a log in pieces, with the whitened columns of offsets, parameters `moving` and residual.
+
+    (columns, K, samples); without parameters the residual alone, of `ENOUGH` samples in whole runs. `point`:
+    of the cost of this log, whose parameters are those `chosen` of all.
+    """
+    cost, model, p, log = point.cost, point.cost.summary.model, point.p, samples.log
+    fitted = [run for run, weight in zip(cost.summary.runs, cost.weights, strict=True) if weight > 0]
+    if not len(moving):
+        fitted = fitted[:: -(-int(cost.summary.counts.sum()) // ENOUGH)]
+    offsets, z, K = offsets_of(cost, p), len(model.offsets) if len(moving) else 0, len(model.channels)
+    whiten = np.linalg.cholesky(np.linalg.inv(point.covariance.mean(axis=0))).T
+    residual = model.remember("residual", lambda: residual_of(model))
+    parts = program(model) if len(moving) else None
+    if parts:
+        k0, j0 = np.array(parts.zero_entries, dtype=int).reshape(-1, 2).T
+        k, j = np.array(parts.entries, dtype=int).reshape(-1, 2).T
+        place = np.full(int(max(chosen.max(initial=0), moving.max(initial=0))) + 1, -1)
+        place[moving] = z + np.arange(len(moving))
+        own = np.flatnonzero(place[chosen[j]] >= 0)
+    columns, most = columns_of(model), ENTRIES // (K * (z + len(moving) + 1))
+    for whole in batches(extended(log, model, samples.sigma, model.named(p)), columns):
+        for batch, _ in whole.of_runs(fitted).pieces(max(most, 1)):
+            here, weights = batch.offsets(offsets, len(model.offsets)), batch.weights(samples.keep)
+            A = np.zeros((z + len(moving) + 1, K, len(batch)))
+            A[-1] = residual(p, here, batch.data)
+            if parts:
+                pose, state = batch.columns(model.references), batch.columns(model.state)
+                slopes = parts.values(p, here, pose, state)[0]
+                A[j0, k0] = slopes[: len(k0)]
+                A[place[chosen[j[own]]], k[own]] = slopes[len(k0) + own]
+            yield batch, np.tensordot(A if weights is None else A * weights, whiten, (1, 1)).swapaxes(1, 2)
+
+
 def _excess_noise_of(point: Point, free: np.ndarray) -> np.ndarray | None:
-    """Return `_excess_noise` of the runs of all shares of a cost, in order; None where none has any."""
+    """Return the sum of `_excess_noise` over the runs of all shares of a cost; None where none has any."""
     cost, p = point.cost, point.p
-    out, runs = np.zeros((len(cost.weights), len(free), len(free))), 0
-    varying = False
+    out, varying = np.zeros((len(free), len(free))), False
     for part, chosen in cost.shares:
-        at = slice(runs, runs + len(part.weights))
         own = np.flatnonzero(np.isin(free, chosen))
         place = np.searchsorted(chosen, free[own])
         found = _excess_noise(point if part is cost else part.at(p[chosen]), place)
         if found is not None:
-            out[at, own[:, None], own] = found
+            out[own[:, None], own] += np.tensordot(part.weights, found, 1)
             varying = True
-        runs = at.stop
     return out if varying else None
 
 
@@ -323,55 +532,104 @@ def _of_one_size(places: Sequence[np.ndarray]) -> Iterator[list[int]]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Estimate:
-    """Covariance of the free parameters, and how it came about.
+class White:
+    """The variance of white noise, as a multiple of that by which information and scores are weighted.
 
-    `scatter`: of the scores of the runs, if the covariance is from them; else all directions have the `dof`.
+    `size`: of the residual; `scale`: of the noise, with its degrees of freedom `dof`; `said`: why it is not
+    the stated one.
+    """
+
+    size: float
+    scale: float
+    dof: float = np.inf
+    said: str = ""
+
+    @staticmethod
+    def of(fit: GoodnessOfFit) -> "White":
+        """Return that of a fit, whose noise is as stated unless the residual is significantly larger."""
+        size = fit.cost_per_degree_of_freedom if fit.contradicts else 1.0
+        size = size if size > OVERSTATED else 1.0
+        if not fit.significant:
+            return White(size, 1.0)
+        said = f"the cost per degree of freedom is {size:.3g} +- {fit.scatter:.2g}; "
+        return White(size, size, fit.degrees_of_freedom, said)
+
+    def freedom(self, gradients: np.ndarray) -> np.ndarray:
+        """Return `dof` for each of the rows of `gradients`."""
+        return np.full(len(gradients), self.dof)
+
+
+@dataclass(frozen=True, eq=False)
+class Estimated:
+    """Covariance (p, p) of parameters, and how it came about.
+
+    `dof`: degrees of freedom (m,) of the variances of linear combinations (m, p) of the parameters.
     """
 
     covariance: np.ndarray
     method: str
     reason: str
-    dof: float = np.inf
-    scatter: RunScatter | None = None
-
-    def degrees_of_freedom(self, gradients: np.ndarray) -> np.ndarray:
-        """Return those of linear combinations (m, n) of the free parameters, (m,)."""
-        if self.scatter is None:
-            return np.full(len(gradients), self.dof)
-        return self.scatter.degrees_of_freedom_of(gradients)
+    dof: Callable[[np.ndarray], np.ndarray]
 
 
-def _estimate(
-    runs: np.ndarray, more: np.ndarray | None, scores: np.ndarray, weights: np.ndarray, fit: GoodnessOfFit
-) -> _Estimate:
-    """Covariance by the likelihood, scaled where the noise is larger, or by the scatter between runs.
+def estimated(
+    runs: np.ndarray,
+    scores: np.ndarray,
+    white: White,
+    octaves: Octaves | None = None,
+    more: np.ndarray | None = None,
+) -> Estimated:
+    """Return the covariance by the noise, or by the scatter between runs where that certainly is larger.
 
-    `runs`: (r, n, n) information of each run, overwritten. `more`: covariance of its scores beyond that, None
-    where the noise is stationary. `scores`: (r, n).
+    `runs`: (r, p, p) information of each run, `scores`: (r, p), 0 where a run has no weight. `white`: the
+    noise where it is white, else `octaves` of the parameters and the residual. `more`: (p, p) covariance of
+    the sum of the scores beyond that, or None. Errors of the model go with the motion of a run, and not with
+    a frequency: they show in the scatter between runs.
     """
-    runs *= weights[:, None, None]
-    known = None if more is None else runs + more * weights[:, None, None]
-    scatter = RunScatter.of(runs, scores * weights[:, None], known)
-    naive = scatter.root @ scatter.by_noise @ scatter.root.T
-    n, scale = int(np.sum(weights > 0)), 1.0
-    method, dof, said = "likelihood", np.inf, ""
-    if fit.significant:
-        scale, method, dof = fit.cost_per_degree_of_freedom, "likelihood, scaled", fit.degrees_of_freedom
-        said = f"the cost per degree of freedom is {scale:.3g} +- {fit.scatter:.2g}; "
+    information = runs.sum(axis=0)
+    n, noise, kind = int(np.sum(np.einsum("rii->r", runs) > 0)), information, "white noise"
+    method, said, scale, size = "likelihood", white.said, white.scale, white.size
+    if said:
+        method += ", scaled"
+
+    dof: Callable[[np.ndarray], np.ndarray] = white.freedom
+    if octaves is not None:
+        inverse = pseudo_inverse(information)
+        each, left = octaves.scores(inverse)
+        noise, kind, scale, size = each.sum(axis=0), "noise of this spectrum", 1.0, 1.0
+        method, said = BY_OCTAVES, f"{octaves.said}; "
+
+        def of_octaves(gradients: np.ndarray) -> np.ndarray:
+            along = gradients @ inverse
+            shares = np.einsum("mi,oij,mj->mo", along, each, along)
+            return shares.sum(axis=1) ** 2 / np.maximum((shares**2 / left).sum(axis=1), 1e-300)
+
+        dof = of_octaves
+    noise = noise if more is None else noise + more
+    scatter = RunScatter.of(runs, scores, noise)
+    by_noise = Estimated(scale * (scatter.root @ scatter.by_noise @ scatter.root.T), method, said, dof)
     if n == 1:
-        said += "one recording cannot show whether its noise is white, which is assumed"
-        return _Estimate(scale * naive, method, said, dof)
-    # noise that is correlated within a run has a smaller residual there, and more scatter between runs
-    size = fit.cost_per_degree_of_freedom if fit.contradicts else 1.0
-    size = size if size > OVERSTATED else 1.0
+        return replace(by_noise, reason=f"{said}one run has no scatter between runs")
+    # correlated noise without octaves has a smaller residual within a run, and more scatter between runs
     limit = scatter.limit(size)
-    said += (
-        f"scores of the {n} runs scatter {scatter.ratio:.2f} x what white noise predicts (limit {limit:.2f})"
-    )
+    said += f"scores of the {n} runs scatter {scatter.ratio:.2f} x what {kind} predicts (limit {limit:.2f})"
     if scatter.ratio <= limit:
-        return _Estimate(scale * naive, method, said, dof)
-    return _Estimate(scatter.covariance(scale), BY_RUNS, said, scatter=scatter)
+        return replace(by_noise, reason=said)
+    found = Estimated(scatter.covariance(scale), BY_RUNS, said, scatter.degrees_of_freedom_of)
+    return found if octaves is None else _larger(found, by_noise)
+
+
+def _larger(by_runs: Estimated, by_noise: Estimated) -> Estimated:
+    """Return an estimate by runs no variance of which is smaller than by noise: a few may agree by chance."""
+    sizes = [np.maximum(np.diag(one.covariance), 1e-300) for one in (by_noise, by_runs)]
+    more = np.sqrt(np.maximum(sizes[0] / sizes[1], 1.0))
+
+    def dof(gradients: np.ndarray) -> np.ndarray:
+        noise, runs = (np.einsum("mi,ij,mj->m", gradients, one.covariance, gradients)
+                       for one in (by_noise, by_runs))  # fmt: skip
+        return np.where(noise > runs, by_noise.dof(gradients), by_runs.dof(gradients))
+
+    return replace(by_runs, covariance=by_runs.covariance * np.outer(more, more), dof=dof)
 
 
 def _at_bound(bounds: tuple[np.ndarray, np.ndarray], p: np.ndarray, found: Determination) -> tuple[int, ...]:

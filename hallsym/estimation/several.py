@@ -132,7 +132,7 @@ def several_fit(
     began: float,
 ) -> Fit:
     """Return the fit of the logs `members`; `judged`: the holdout logs. `numbers`: per log run -> number."""
-    estimate = uncertainty(solution.point, solution.determined)
+    estimate = uncertainty(solution.point, solution.determined, [one.samples for one in members])
     bound = None if sharing.own else lower_bound(solution.point, estimate.fitted)
     each = _goodness(members, estimate.fitted)
     own = [_own(estimate, sharing, g, goodness) for g, goodness in enumerate(each)]

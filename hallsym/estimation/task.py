@@ -20,7 +20,7 @@ from hallsym.estimation.calibration import (
     SolverRecord,
     calibrated,
 )
-from hallsym.estimation.covariance import Uncertainty, uncertainty
+from hallsym.estimation.covariance import Samples, Uncertainty, uncertainty
 from hallsym.estimation.decoding import (
     Errors,
     ErrorTable,
@@ -320,6 +320,11 @@ class LogFit:
     solution: Solution = field(init=False)
     errors: Errors | None = None
 
+    @property
+    def samples(self) -> Samples:
+        """The samples that were fitted."""
+        return Samples(self.task.log, self.task.noise.std, self.keep)
+
 
 def opened(
     log: Log,
@@ -390,7 +395,7 @@ def result_of(solved: LogFit, began: float) -> Fit:
     """Return the fit that is handed out; `began`: when, by `perf_counter`."""
     state, found = solved.solution, solved.solution.determined
     point = state.point
-    estimate = uncertainty(point, found)
+    estimate = uncertainty(point, found, [solved.samples])
     asked = solved.errors is not None  # a quick fit without faults needs no further evidence
     bound = lower_bound(point, estimate.fitted) if asked and exact(solved.task.model) else None
     return fit_of(solved, found, estimate, bound, began)

@@ -18,7 +18,6 @@ from scipy.special import chdtrc, erfc, fdtrc, ndtri, stdtr
 from hallsym.errors import require
 from hallsym.estimation import Evaluation, Fit, fit
 from hallsym.estimation.calibration import coverage_factor
-from hallsym.estimation.covariance import BY_RUNS
 from hallsym.estimation.factors import SINGULAR, pseudo_inverse, unit_scale
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit, ResidualNoise, noise_at
 from hallsym.log import Noise, Sigma
@@ -172,9 +171,7 @@ def belonging(seen: Evaluation, *, false_alarm: float = FALSE_ALARM) -> Belongin
     left = None  # too short for an estimate; assume the correlation of the calibration
     if after.likelihood is not None and after.source is not None:
         left = noise_at(after.source, after.likelihood.at(after.values), after.noise.std, after.keep)
-    memory = 1.0 if left is None or left.white else left.memory
-    factors = [1.0 if f.covariance_record.method == BY_RUNS else memory for f in (known, after)]
-    one, two = (_estimates(f, factor) for f, factor in zip((known, after), factors, strict=True))
+    one, two = map(_estimates, (known, after))
     units = {p.name: p.unit for p in known.model.parameters}
     units |= {c.expression: c.unit for c in known.combinations}
     names = [name for name in one if name in two]
@@ -182,7 +179,7 @@ def belonging(seen: Evaluation, *, false_alarm: float = FALSE_ALARM) -> Belongin
     level = 1 - (1 - false_alarm) ** (1 / (len(names) + 1 + (len(single) > 1)))
     tests = [_residual(known, after, left, level)]
     if len(single) > 1:
-        tests += _together(known, after, factors, single, level)
+        tests += _together(known, after, single, level)
     changes = []
     for name in names:
         (before, s, n), (now, t, m) = one[name], two[name]
@@ -204,8 +201,6 @@ def _notes(known: Fit, left: ResidualNoise | None) -> tuple[str, ...]:
             "The calibration is of an earlier version and does not state its residual; errors are compared"
             " against its noise alone."
         )
-    elif known.log.runs - len(known.log.holdout) == 1:
-        notes.append("The calibration is of one run, which cannot show whether its noise is white.")
     if left is not None and not left.white and left.memory > 1:
         notes.append(
             f"Noise of neighbouring samples is correlated ({left.correlation:.2f}); the tests allow for it."
@@ -213,19 +208,18 @@ def _notes(known: Fit, left: ResidualNoise | None) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _estimates(found: Fit, factor: float) -> dict[str, tuple[float, float, float]]:
+def _estimates(found: Fit) -> dict[str, tuple[float, float, float]]:
     """Return value, standard uncertainty and degrees of freedom of what a fit determines, by name.
 
-    Of parameters and combinations; their variances are multiplied by `factor`.
+    Of parameters and combinations.
     """
-    more = float(np.sqrt(factor))
     columns = zip(found.values.tolist(), found.std.tolist(), found.degrees_of_freedom.tolist(), strict=True)
     out = {
-        name: (value, more * std, dof)
+        name: (value, std, dof)
         for name, (value, std, dof), known in zip(found.model.names, columns, found.determined, strict=True)
         if known and name not in found.at_bound
     }
-    return out | {c.expression: (c.value, more * c.std, c.dof) for c in found.combinations}
+    return out | {c.expression: (c.value, c.std, c.dof) for c in found.combinations}
 
 
 def _not_identified(known: Fit, after: Fit) -> dict[str, str]:
@@ -287,12 +281,10 @@ def _independent(found: Fit, goodness: GoodnessOfFit, left: ResidualNoise | None
     return max(1.0, min(goodness.degrees_of_freedom, fitted * found.log.rows * K / inflation))
 
 
-def _together(
-    known: Fit, after: Fit, factors: Sequence[float], names: Sequence[str], level: float
-) -> list[BelongingTest]:
+def _together(known: Fit, after: Fit, names: Sequence[str], level: float) -> list[BelongingTest]:
     """Test all parameters at once: a change along their correlation shows in none alone."""
     at = [known.model.names.index(name) for name in names]
-    covariance = (factors[0] * known.covariance + factors[1] * after.covariance)[np.ix_(at, at)]
+    covariance = (known.covariance + after.covariance)[np.ix_(at, at)]
     moved, scale = (after.values - known.values)[at], unit_scale(covariance)
     distance = float(moved @ pseudo_inverse(covariance) @ moved)
     count = int(np.linalg.matrix_rank(covariance * np.outer(scale, scale), rtol=SINGULAR, hermitian=True))

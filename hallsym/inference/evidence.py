@@ -9,14 +9,14 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, fit
-from hallsym.estimation.covariance import Uncertainty, uncertainty
+from hallsym.estimation.covariance import Samples, Uncertainty, uncertainty
 from hallsym.estimation.decoding import columns_of
 from hallsym.estimation.identifiable import Determination, determine
 from hallsym.estimation.likelihood import Cost, Point, cost_near
 from hallsym.families import same_layout
 from hallsym.families.recording import as_read
 from hallsym.log import Log
-from hallsym.log.batches import batches
+from hallsym.log.batches import Weigh, batches
 from hallsym.log.derived import extended
 from hallsym.model import Model
 from hallsym.model.influence import influence
@@ -116,6 +116,7 @@ def from_fit(known: Fit, log: Log | None = None) -> Evidence:
         found.source.name,
         sigma=found.noise.std,
         values=found.model.named(found.values),
+        keep=found.keep,
         notes=(amiss, *notes) if amiss else notes,
         amiss=amiss,
     )
@@ -146,11 +147,13 @@ def _at(
     name: str,
     sigma: Mapping[str, float] | None = None,
     values: Mapping[str, float] | None = None,
+    keep: Weigh | None = None,
     **said: Any,
 ) -> Evidence:
     """Return the evidence of a log at an optimum; `sigma`, `values` as for `visited`, `said`: notes.
 
-    Refuses a log with fewer readings than unknowns, for which there is no covariance.
+    `keep`: weight of each sample. The noise of a plan is white: it has no `sigma`. Refuses a log with fewer
+    readings than unknowns, for which there is no covariance.
     """
     cost, model = point.cost, point.cost.summary.model
     open_ = sum(p.width > 0 for p in model.parameters)
@@ -164,7 +167,8 @@ def _at(
     own = dict(zip(cost.summary.runs, point.offsets, strict=True))
     workspace = visited(log, model, own, sigma=sigma, values=values)
     slopes = influence(model, point.p, *workspace, 1.0 / cost.reading_variance).parameters
-    return Evidence(point, found, uncertainty(point, found), slopes, name, log, **said)
+    samples = [] if sigma is None else [Samples(log, sigma, keep)]
+    return Evidence(point, found, uncertainty(point, found, samples), slopes, name, log, **said)
 
 
 def _fitted_again(known: Fit, log: Log) -> tuple[Fit, tuple[str, ...]]:
