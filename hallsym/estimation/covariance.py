@@ -371,7 +371,8 @@ def uncertainty(point: Point, found: Determination, samples: Sequence[Samples] =
     known = Estimated(covariance, "likelihood", "there was nothing to estimate", White(1.0, 1.0).freedom)
     if fitted:
         runs, more = point.information(1.0, moving), _excess_noise_of(point, moving)
-        octaves = _octaves(point, moving, samples)
+        noisy = fit.cost_per_degree_of_freedom > OVERSTATED
+        octaves = _octaves(point, moving, samples) if noisy else None
         if len(axes.dependent):
             own = basis[moving]
             runs, more = own.T @ runs @ own, None if more is None else own.T @ more @ own
