@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from operator import itemgetter
 
 import numpy as np
 from scipy.fft import dct
@@ -50,6 +51,8 @@ ALONE = 1e-3
 STEEP, BEND = 2 * np.log(2.0), np.log(2.0)
 """Change of the logarithm of the power of noise from octave to octave, that of a random walk, and the change
 of that slope: white noise becomes 1/f noise within an octave."""
+PARTS = 0.01, 0.03, 0.1, 0.3, 1.0
+"""Parts of that change that are tried."""
 WHITE, CHANCE = 1.2, 0.05
 """Ratio of the variances of noise in two octaves that must be seen before it counts as white, since it makes
 a standard uncertainty a tenth too small; and the probability that white noise does not count as white."""
@@ -136,15 +139,24 @@ class Octaves:
         `left`: (octaves,) values of the residual that parameters do not take. The logarithm of the variance
         is smoothed by differences of `STEEP` and `BEND` (E. T. Whittaker, Proc. Edinb. Math. Soc. 41
         (1922) 63, doi:10.1017/S0013091500077853): of the slowest octaves parameters leave little or nothing,
-        and they continue the slope of the faster ones.
+        and they continue the slope of the faster ones. The part of both that is most likely counts: none for
+        white noise, whose variance all octaves tell together.
         """
         seen = np.maximum(left, 1e-3)
         size = np.log(np.maximum(self.products[:, -1, -1], 1e-300) / seen) + 1.0 / np.maximum(seen, 2.0)
         slope, bend = (np.diff(np.eye(len(seen)), k, axis=0) for k in (1, 2))
         prior = slope.T @ slope / STEEP**2 + bend.T @ bend / BEND**2
         weight = np.where(seen > 1.0, 0.5 * seen, 0.0)
-        covariance = pseudo_inverse(np.diag(weight) + prior)
-        return np.exp(covariance @ (weight * size)), 2.0 / np.diag(covariance)
+
+        def smoothed(part: float) -> tuple[float, np.ndarray, np.ndarray]:
+            total = np.diag(weight) + prior / part**2
+            covariance = pseudo_inverse(total)
+            found = covariance @ (weight * size)
+            gained = float(weight * size @ found) - float(np.linalg.slogdet(total)[1])
+            return gained - 2 * (len(seen) - 1) * np.log(part), found, np.diag(covariance)
+
+        _, found, variance = max(map(smoothed, PARTS), key=itemgetter(0))
+        return np.exp(found), 2.0 / variance
 
     def scores(self, inverse: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the covariance of the score by octave, (o, p, p), and its degrees of freedom, (o,).

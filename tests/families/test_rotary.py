@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hallsym
+from hallsym.estimation.covariance import uncertainty
 from hallsym.estimation.factors import summarise
 from hallsym.estimation.likelihood import cost_of
 from hallsym.estimation.optimum import refit
@@ -158,9 +159,9 @@ def ellipse_log(seed, sigma, reference, cover=TURN, rest=0):
 def test_noise_of_the_reference_is_tangential(sigma, reference):
     """Of an ideal encoder: the zero has the noise along the circle, the amplitude that across it."""
     fit = hallsym.fit(ellipse_log(1, sigma, reference)[0], "rotary_ideal", solver="direct", loss="none")
-    std = dict(zip(fit.model.names, fit.covariance.diagonal() ** 0.5, strict=True))
-    cost = fit.goodness.cost_per_degree_of_freedom
-    scale = np.sqrt(max(cost, 1.0)) if "scaled" in fit.covariance_record.method else 1.0
+    found = uncertainty(fit.likelihood.at(fit.values), fit.determination)  # for white noise
+    std = dict(zip(fit.model.names, found.covariance.diagonal() ** 0.5, strict=True))
+    scale = np.sqrt(max(found.cost_per_dof, 1.0)) if "scaled" in found.method else 1.0
     assert std["zero"] == pytest.approx(scale * np.hypot(sigma, reference) / np.sqrt(800), rel=0.03)
     assert std["A"] == pytest.approx(scale * sigma / np.sqrt(800), rel=0.03)
 
