@@ -8,9 +8,10 @@ from scipy.signal import lfilter
 from twins import HALL, SIGMAS, campaign, cost_on, true_model, truth_of, with_noise
 
 from hallsym.estimation.calibration import coverage_factor
-from hallsym.estimation.covariance import RunScatter, uncertainty
+from hallsym.estimation.covariance import Octaves, RunScatter, uncertainty
 from hallsym.estimation.identifiable import determine
 from hallsym.estimation.optimum import refit
+from hallsym.log.batches import Batch
 from hallsym.simulation import NoiseModel, simulate
 
 SETTINGS = {"57 runs": range(57), "12 runs": range(12), "6 runs": range(6)}
@@ -69,6 +70,25 @@ def test_what_one_run_knows_alone_has_the_scatter_of_all():
     assert found.covariance(1.0)[1, 1] == pytest.approx(found.ratio / 4.0)
     assert found.degrees_of_freedom_of(np.eye(2))[1] == pytest.approx(found.degrees_of_freedom)
     assert found.degrees_of_freedom == pytest.approx(5.0)
+
+
+# -- octaves of noise ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.5])
+def test_slow_octaves_have_the_power_of_an_autoregression(memory):
+    """Of unit variance and lag-1 correlation .5: (1 + .5) / (1 - .5) = 3 at slow octaves."""
+    rng, runs, n = np.random.default_rng(3), 60, 256
+    noise = rng.standard_normal((2, runs, n))
+    noise = lfilter([np.sqrt(1 - memory**2)], [1, -memory], noise).reshape(1, 2, -1)
+    noise -= np.repeat(noise.reshape(1, 2, runs, n).mean(axis=3), n, axis=2)
+    batch = Batch(tuple(range(runs)), {}, tuple(range(0, runs * n + 1, n)))
+    octaves = Octaves.of([(batch, noise)], offsets=2)
+    power, dof = octaves.power(octaves.values)
+    assert octaves.white == (memory == 0.0)
+    assert octaves.values.sum() == 2 * runs * (n - 1)
+    assert power[-3:] == pytest.approx([(1 + memory) / (1 - memory)] * 3, rel=0.15)
+    assert dof[:-1].min() > 100  # offsets take the mean
 
 
 # -- coverage -----------------------------------------------------------------------------------------------
