@@ -494,9 +494,9 @@ def test_a_smooth_recording_has_no_spikes_and_its_scale_is_found():
     found = diagnose(read_log(UNDULATOR, columns={"angle_ref_deg": "ref_deg"}), "rotary")
     assert found.verdict == "unexplained"
     (scale,) = (e.parameters["scale"] for e in found.effects if e.name == "reference_scale_error")
-    # the effect is fitted on every other stretch: 9.5 of 19 periods, each with an error of its own
-    expected = np.radians(0.3) * np.sqrt(12 / 9.5) / (19 * TURN)
-    assert scale.std == pytest.approx(expected, rel=0.3)
+    # the effect is fitted on every other stretch, 9.5 of 19 periods: a mean of .3 deg that is independent from
+    # period to period gives 49 ppm, a regression through the means of single periods 30 to 42 ppm
+    assert 20e-6 < scale.std < 60e-6
     assert abs(scale.value - 355e-6) < 2 * scale.std
     assert not any("left out" in note and "5" in note.split()[0] for note in found.notes)
 
@@ -587,7 +587,7 @@ def test_over_whole_turns_it_costs_the_zero_alone_and_over_less_more():
         log = homed_runs(homes=(0.6,) * 12, turns=turns)
         plain = hallsym.fit(log, "rotary", solver="direct")
         ratio = own_zeros(log).std[:5] / plain.std[:5]
-        assert ratio.min() > 0.999
+        assert ratio.min() > 0.99  # the noise is measured, from a residual with fewer degrees of freedom
         cost.append(ratio.max())
     assert cost[0] < 1.01
     assert cost[1] > 1.1
