@@ -494,8 +494,8 @@ def test_a_smooth_recording_has_no_spikes_and_its_scale_is_found():
     found = diagnose(read_log(UNDULATOR, columns={"angle_ref_deg": "ref_deg"}), "rotary")
     assert found.verdict == "unexplained"
     (scale,) = (e.parameters["scale"] for e in found.effects if e.name == "reference_scale_error")
-    # the effect is fitted on every other stretch, 9.5 of 19 periods: a mean of .3 deg that is independent from
-    # period to period gives 49 ppm, a regression through the means of single periods 30 to 42 ppm
+    # the effect is fitted on every other stretch, 9.5 of 19 periods: errors of .3 deg that are independent
+    # between periods give 49 ppm, a regression through the means of single periods 30 to 42 ppm
     assert 20e-6 < scale.std < 60e-6
     assert abs(scale.value - 355e-6) < 2 * scale.std
     assert not any("left out" in note and "5" in note.split()[0] for note in found.notes)
