@@ -7,7 +7,7 @@ decoded pose (the gap metric). The offsets of a run are eliminated at once. With
 matrices any set of effects can be fitted, cross-validated and judged without reading the log again.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain, count, islice, pairwise, takewhile
@@ -43,9 +43,9 @@ class Products(NamedTuple):
         shape = len(work.near) - work.z, work.size - work.z
         return cls(np.zeros((count, *shape)), np.zeros((count, work.pairs.shape[1])))
 
-    def summed(self, stacks: np.ndarray) -> "Products":
-        """Return the sums over stacks of matrices, (F, matrices) of 0 and 1."""
-        return Products(*(np.tensordot(stacks, each, 1) for each in self))
+    def summed(self) -> "Products":
+        """Return the sum over all matrices, as one."""
+        return Products(*(each.sum(axis=0, keepdims=True) for each in self))
 
     def of(self, span: slice, place: slice) -> np.ndarray:
         """Return the products (..., p, p) of own columns, those of one candidate, and the residual.
@@ -210,13 +210,13 @@ def _graph(model: Model, free: Sequence[int], candidates: Sequence[tuple[Model, 
 class NormalEquations:
     """Products of the columns [parameters | effects | residual], the offsets of each run eliminated.
 
-    `whitened`, `decoded`: of each unit, weighted by the noise and mapped to the pose. `count`: (units,)
-    samples. `runs`: the runs of each unit, `unit_of`: that of each run and stretch of it. `span`: columns of
-    each candidate, by its key; the base's parameters are under "". `places`: of its products in
-    `Products.inner`. `follow`: (runs, offsets, c) offsets of a run of `order` as functions of the other
-    columns; none with candidates. `spoiled`: candidates whose slope is not finite somewhere; their columns
-    are 0. `offsets`: (units, offsets, c) products with the run's own offsets, in units in which these are
-    orthonormal, which over a whole run add up to 0; None where every unit is a whole run. `graph`: of the
+    `whitened`: of each unit, weighted by the noise; `decoded`: mapped to the pose, of each unit or of groups
+    of runs. `count`: (units,) samples. `runs`: the runs of each unit, `unit_of`: that of each run and stretch
+    of it. `span`: columns of each candidate, by its key; the base's parameters are under "". `places`: of its
+    products in `Products.inner`. `follow`: (runs, offsets, c) offsets of a run of `order` as functions of the
+    other columns; none with candidates. `spoiled`: candidates whose slope is not finite somewhere; their
+    columns are 0. `offsets`: (units, offsets, c) products with the run's own offsets, in units in which these
+    are orthonormal, which over a whole run add up to 0; None where every unit is a whole run. `graph`: of the
     columns.
     """
 
@@ -262,17 +262,21 @@ def normal_equations(
     length: int | None = None,
     *,
     decoded: bool = True,
+    judged: Sequence[Collection[int]] | None = None,
 ) -> NormalEquations:
     """Read the log once and return the tangents of `candidates`: key -> (extended model, new parameters).
 
     New parameters are taken at their nominal value, where they have no effect. `length`: samples of a unit,
     where a run is split into several. `decoded`: also map products to the pose, which the step of a fit does
-    not need; without it they are not valid.
+    not need; without it they are not valid. `judged`: groups of runs whose products mapped to the pose are
+    kept as sums, of no others; None: those of each unit.
     """
     work, runs, groups = Columns(base, candidates), base.log.runs, pooled(base)
     pool = {run: k for k, group in enumerate(groups) for run in group}
     most = (base.log.rows // length + len(runs),) * 2 if length else (len(runs), len(groups))
-    made = [Products.of_zeros(most[1], work) for _ in range(2)]
+    fold = {run: k for k, group in enumerate(judged or ()) for run in group}
+    folds = most[1] if judged is None else len(judged) + 1  # the last one of all others
+    made = [Products.of_zeros(size, work) for size in (most[1], folds)]
     count, offsets = np.zeros(most[1]), np.zeros((2, most[0], work.z, work.size))
     parts: dict[tuple[int, int], int] = {}  # which (run, stretch) each row of `offsets` is of
     seen: dict[int, int] = {}
@@ -281,26 +285,32 @@ def normal_equations(
         near, rows = work.columns(batch, weights)
         D = work.to_pose(batch) if decoded else np.zeros((0, near.shape[1], len(batch)))
         weight = np.diff(batch.edges) if weights is None else np.add.reduceat(weights, batch.edges[:-1])
-        for first, last in batch.groups(max(1, ENTRIES // (len(near) * work.size))):
+        products = max(len(near) * work.size, work.pairs.shape[1])
+        for first, last in batch.groups(max(1, ENTRIES // products)):
             lay = batch.layout(first, last)
             both = stacked_products(work, lay(near), lay(rows), lay(D))
             for k, key in enumerate(keys[first:last]):
                 part = parts.setdefault(key, len(parts))
                 unit = part if length else pool[key[0]]
                 count[unit] += weight[first + k]
-                for M, own, more in zip(made, offsets, both, strict=True):
+                sums = unit, unit if judged is None else fold.get(key[0], folds - 1)
+                for M, unit, own, more in zip(made, sums, offsets, both, strict=True):
                     own[part] += more.border[k, : work.z]
                     M.border[unit] += more.border[k, work.z :, work.z :]
                     M.inner[unit] += more.inner[k]
     run = np.array([number for number, _ in parts])
     if length:
         groups = [(number,) for number in run.tolist()]
-    whitened, output = (Products(*(x[: len(groups)] for x in M)) for M in made)
     units = np.arange(len(run)) if length else np.array([pool[number] for number in run.tolist()])
-    follow, of_offsets = eliminated(work, (whitened, output), offsets[:, : len(run)], run, units)
+    sums = np.array([fold.get(number, folds - 1) for number in run.tolist()])
+    sizes = len(groups), len(groups) if judged is None else folds
+    whitened, output = (Products(*(x[:size] for x in M)) for M, size in zip(made, sizes, strict=True))
+    follow, of_offsets = eliminated(
+        work, (whitened, output), offsets[:, : len(run)], run, (units, units if judged is None else sums)
+    )
     return NormalEquations(
         whitened,
-        output,
+        output if judged is None else Products(*(x[:-1] for x in output)),
         count[: len(groups)],
         tuple(groups),
         dict(zip(parts, units.tolist(), strict=True)),
@@ -344,13 +354,14 @@ def eliminated(
     made: tuple[Products, Products],
     offsets: np.ndarray,
     run: np.ndarray,
-    unit: np.ndarray,
+    units: tuple[np.ndarray, np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Let the offsets of whole runs follow the likelihood, in the output too.
 
     `made`: products of all other columns, which are changed in place. `offsets`: (2, parts, offsets, columns)
-    products with the offsets; `run`, `unit`: (parts,) of each part of a run. Returns `follow`, which only the
-    step of a fit without candidates needs, and `offsets` of `NormalEquations`.
+    products with the offsets; `run`: (parts,) of each part of a run, `units`: where it is in each of `made`.
+    Returns `follow`, which only the step of a fit without candidates needs, and `offsets` of
+    `NormalEquations`.
     """
     z, near, (i, j) = work.z, work.near[work.z :] - work.z, work.pairs
     first = np.flatnonzero(np.append(True, run[1:] != run[:-1]))
@@ -366,7 +377,7 @@ def eliminated(
         by = -solve(*np.split(across[of_run[at]], [z], axis=2))
         if not work.count:
             follow[of_run[at]] = by
-        for M, part in zip(made, offsets[:, at], strict=True):
+        for M, part, unit in zip(made, offsets[:, at], units, strict=True):
             half = part[:, :, z:] + 0.5 * part[:, :, :z] @ by
             more = half[..., near].swapaxes(1, 2) @ by + by[..., near].swapaxes(1, 2) @ half
             of_pairs = (half[..., i] * by[..., j] + by[..., i] * half[..., j]).sum(axis=1)
@@ -378,9 +389,11 @@ def eliminated(
     nil = np.zeros((len(group), work.size - z), dtype=bool)
     nil[of, i[own][candidate]] = True
     nil = np.repeat(nil, np.diff([*group, len(inner)]), axis=0)
-    for M in made if nil.any() else ():
-        M.border[np.broadcast_to(nil[:, None], M.border.shape)] = 0.0
-        M.inner[nil[:, i] | nil[:, j]] = 0.0
+    for M, unit in zip(made, units, strict=True) if nil.any() else ():
+        none = np.ones((len(M.inner), work.size - z), dtype=bool)
+        np.logical_and.at(none, unit, nil[units[0]])
+        M.border[np.broadcast_to(none[:, None], M.border.shape)] = 0.0
+        M.inner[none[:, i] | none[:, j]] = 0.0
     if not z or len(first) == len(run):
         return follow, None
     every = -solve(across[:, :, :z], across[:, :, z:])

@@ -110,7 +110,7 @@ def smaller_findings(
     """
     out = [SmallerFinding(e.name, e.shrinkage, e.p_value) for e in below]
     known, here, floor = {h.name for h in found.effects}, selection.fit.metric, setup.floor_fitted.metric
-    for score in by_name(selection.last):
+    for score in by_name(selection.last or ()):
         p, shrinkage = score.p_value, 1 - score.ratio
         if score.effect.link == REFERENCE and unfounded(here, score.ratio * here, floor, setup.policy):
             continue

@@ -1,15 +1,16 @@
 """Screening: score tests of the whole catalogue, from one pass over the log."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc
 
 from hallsym.diagnosis.measurement_error import shared_noise
-from hallsym.diagnosis.normal_equations import NormalEquations, normal_equations
+from hallsym.diagnosis.normal_equations import NormalEquations, Products, normal_equations, pooled
 from hallsym.diagnosis.p_values import Joint, SignFlips, least_p, memory, searched, stretch
 from hallsym.diagnosis.record import Significance
 from hallsym.diagnosis.residuals import FOLDS, NIL, Base
@@ -104,43 +105,56 @@ def _variants(model: Model, effect: Effect, facts: Facts) -> Iterator[Candidate]
 class Screen:
     """The catalogue scored beside one fit, from one pass over the log.
 
-    One pass for all candidates, or for as many as have `PRODUCTS` together. `scores`: best first, by BIC,
-    with p-values once they are weighed. `length`: samples of the stretches that are the units of p-values,
-    None where runs are; `lasting`: of a unit. `significance`: of any effect at all. `tables`: the products of
-    each pass, until p-values are computed. `top`: the maximum statistic of each draw of signs, that of the
-    log first. `refits`: models that were fitted for the p-values. `spoiled`: candidates whose readings are
-    not finite.
+    `scores`: best first, by BIC, with p-values once they are weighed. `length`: samples of the stretches that
+    are the units of p-values, None where runs are; `lasting`: of a unit. `significance`: of any effect at
+    all. `t`: the products of the pass, until p-values are computed; `fitted`: fits to the runs, judged on the
+    same. `top`: the maximum statistic of each draw of signs, that of the log first. `refits`: models that
+    were fitted for the p-values. `spoiled`: candidates whose readings are not finite.
     """
 
     def __init__(
-        self,
-        base: Base,
-        tried: dict[str, Candidate],
-        runs: Sequence[int],
-        *,
-        tested: bool = True,
-        over: Callable[[], bool] = lambda: False,
+        self, base: Base, tried: dict[str, Candidate], runs: Sequence[int], *, tested: bool = True
     ) -> None:
-        """Score `tried` on `runs`; `tested`: for p-values (`weigh`), for which few runs are cut.
-
-        There are no further passes once it is `over`.
-        """
+        """Score `tried` on `runs`; `tested`: for p-values (`weigh`), for which few runs are cut."""
         self.base, self.tried, self.runs = base, tried, tuple(runs)
         self.refits: dict[Model, Any] = {}
         rows = base.log.rows / len(base.log.runs)
         self.length = stretch(rows * len(runs), len(runs), base.policy) if tested else None
         self.lasting = self.length or rows
-        parts = (
-            ({k: (c.model, c.new) for k, c in part.items()}, part) for part in _parts(tried, len(base.free))
-        )
-        self.tables: list[Table] = []
-        for new, part in parts:
-            if not self.tables or not over():
-                self.tables.append(Table(normal_equations(base, new, self.length), part, self.runs))
+        self.new = {key: (c.model, c.new) for key, c in tried.items()}
+        own = [group for group in pooled(base) if set(runs).issuperset(group)]
+        folds = [[*chain(*own[k::FOLDS])] for k in range(min(FOLDS, len(own)))]
+        t = normal_equations(base, self.new, self.length, judged=folds)
+        at = np.arange(len(t.runs))
+        among, groups = np.isin(at, t.units(runs)), np.array([np.isin(at, t.units(fold)) for fold in folds])
+        cross_validated = Regressions(t, tried, among & ~groups, t.decoded)
+        # p-values need no decoded products of each group
+        self.t = replace(t, decoded=t.decoded.summed())
+        self.fitted = Regressions(self.t, tried, among[None], self.t.decoded)
         places = {name: k for k, name in enumerate(dict.fromkeys(c.effect.name for c in tried.values()))}
-        scores = (replace(s, place=places[s.effect.name]) for table in self.tables for s in table.scores)
-        self.scores = sorted(scores, key=lambda s: s.bic)
-        self.spoiled = frozenset(key for table in self.tables for key in table.t.spoiled)
+        known = [key for key in tried if key not in t.spoiled]
+        scores = [self._score(key, float(among @ t.count), cross_validated) for key in known]
+        self.scores = sorted((replace(s, place=places[s.effect.name]) for s in scores), key=lambda s: s.bic)
+        self.spoiled = t.spoiled
+
+    def _score(self, key: str, readings: float, cross_validated: "Regressions") -> Score:
+        """Return the score of a candidate on so many readings of each channel.
+
+        `cross_validated`: fits without groups of runs, judged on each.
+        """
+        c, found = self.tried[key], self.fitted.solved(key)
+        N, size = readings * len(c.model.channels), len(c.new) + c.variant.shapes
+        return Score(
+            effect=c.effect,
+            variant=c.variant,
+            model=c.model,
+            gain=max(float(found.plain[0] - found.left[0]), 0.0),
+            size=size,
+            bic=float(bic(found.left[0], N, size, N)),
+            ratio=cross_validated.ratio(key),
+            p_value=1.0,
+            absorbed=bool(found.absorbed[0]),
+        )
 
     def weigh(
         self,
@@ -159,10 +173,10 @@ class Screen:
         """
         sizes = (1.0, louder) if louder > (1 + self.base.policy.negligible) ** 2 else (1.0,)
         variants = Counter(s.effect.name for s in self.scores)
-        flips = dict(each for t in self.tables for each in self._flips(t, autocorrelation, remembers, sizes))
+        flips = self._flips(autocorrelation, remembers, sizes)
         drawn: dict[str, list[np.ndarray]] = {}
         for s in self.scores:
-            z = [] if s.absorbed else [f.statistic(s.key) for f in flips[s.key]]
+            z = [] if s.absorbed else [f.statistic(s.key) for f in flips]
             # numbers that were searched elsewhere, and are not among the variants
             tried = s.variant.tried / variants[s.effect.name]
             drawn[s.key] = [searched(each, tried) for each in z if each is not None]
@@ -175,7 +189,7 @@ class Screen:
         out = []
         for s in self.scores:
             z0 = [float(z[0]) for z in drawn[s.key]] or [-np.inf]
-            kept = min((f.kept(s.key) for f in flips[s.key]), default=1.0) if drawn[s.key] else 1.0
+            kept = min((f.kept(s.key) for f in flips), default=1.0) if drawn[s.key] else 1.0
             s = replace(s, kept=kept, ratio=1 - (1 - s.ratio) * kept, statistic=z0[0])
             s = replace(s, p_by_noise=_by_noise(s, peak, sum(most.values())))
             signs = max(joint.p_value(z) for joint, z in zip(joints, z0, strict=False))
@@ -183,11 +197,11 @@ class Screen:
             ratio = min(s.ratio, self._ratio(s, peak)) if p < self.base.policy.false_alarm else s.ratio
             out.append(replace(s, p_value=p, ratio=ratio))
         self.scores = out
-        units = len(self.tables[0].t.units(self.runs))
+        units = len(self.t.units(self.runs))
         unit = "run" if self.length is None else "stretch"
         least = min((s.p_value for s in out), default=1.0)
         self.significance = Significance(least, least_p(units), units, unit)
-        self.tables = []
+        del self.t, self.fitted  # they are larger than the log
 
     def _ratio(self, score: Score, peak: float) -> float:
         """Return the gap metric with a candidate over that without, on the same runs less its optimism.
@@ -196,26 +210,23 @@ class Screen:
         """
         if not np.isfinite(peak):
             return np.inf
-        table = next(t for t in self.tables if score.key in t.tried)
         real = max(0.0, 1 - 2 * score.size * peak / max(score.gain, NIL))
-        squares = 1 - table.fitted.ratio(score.key) ** 2
+        squares = 1 - self.fitted.ratio(score.key) ** 2
         return float(np.sqrt(max(1 - squares * real * score.kept, 0.0)))
 
     def _flips(
-        self, table: "Table", autocorrelation: np.ndarray, remembers: float | None, sizes: Sequence[float]
-    ) -> Iterator[tuple[str, list[SignFlips]]]:
-        """Yield the sign flips of each candidate, for noise of the references of these variances."""
-        new = {key: (c.model, c.new) for key, c in table.tried.items()}
+        self, autocorrelation: np.ndarray, remembers: float | None, sizes: Sequence[float]
+    ) -> list[SignFlips]:
+        """Return the sign flips of all candidates, for noise of the references of each of these variances."""
         base = self.base
-        noise = shared_noise(base, new, table.t, self.length, autocorrelation)
+        noise = shared_noise(base, self.new, self.t, self.length, autocorrelation)
         if remembers is None:
             remembers = 0.0 if base.sliced else memory(autocorrelation, base.policy)
         memories = self.lasting / max(remembers, NIL)
-        flips = [
-            SignFlips(table.t, self.runs, size * noise, base.policy, memories=memories, joined=base.joined)
+        return [
+            SignFlips(self.t, self.runs, size * noise, base.policy, memories=memories, joined=base.joined)
             for size in sizes
         ]
-        return ((key, flips) for key in new)
 
 
 def _by_noise(score: Score, peak: float, tried: float) -> float:
@@ -225,32 +236,14 @@ def _by_noise(score: Score, peak: float, tried: float) -> float:
     return min(1.0, tried * max(float(chdtrc(score.size, score.kept * score.gain / peak)), LEAST))
 
 
-PRODUCTS = 160_000
-"""Products of a run that are kept from one pass, 1.3 MB, twice."""
-
-
-def _parts(tried: dict[str, Candidate], own: int) -> Iterator[dict[str, Candidate]]:
-    """Yield the candidates in parts of at most `PRODUCTS` beside `own` columns, in order."""
-    part: dict[str, Candidate] = {}
-    size = 0
-    for key, c in tried.items():
-        more = len(c.new) * (own + 1 + len(c.new))
-        if part and size + more > PRODUCTS:
-            yield part
-            part, size = {}, 0
-        part[key] = c
-        size += more
-    yield part
-
-
 class Regressions:
-    """Fits of candidates to stacks of units, (F, units) of 0 and 1, that are judged on other units."""
+    """Fits of candidates to stacks of units, (F, units) of 0 and 1; `judged`: products that judge each."""
 
     def __init__(
-        self, t: NormalEquations, tried: dict[str, Candidate], training: np.ndarray, judging: np.ndarray
+        self, t: NormalEquations, tried: dict[str, Candidate], training: np.ndarray, judged: Products
     ) -> None:
         self.t, self.tried, self.training, n = t, tried, training * 1.0, t.span[""].stop
-        self.judged = t.decoded.summed(judging * 1.0)
+        self.judged = judged
         self.inverse = pseudo_inverse(np.tensordot(self.training, t.likelihood[:, :n, :n], 1))
         self.plain = self.solved(None).by
 
@@ -295,42 +288,6 @@ class Solved(NamedTuple):
     plain: np.ndarray
     left: np.ndarray
     absorbed: np.ndarray
-
-
-class Table:
-    """Products of candidates and of the model's own parameters, from which they are scored on some runs.
-
-    `fitted`: fits to the runs, judged on the same. `scores`: of the candidates that are finite.
-    """
-
-    def __init__(self, t: NormalEquations, tried: dict[str, Candidate], runs: Sequence[int]) -> None:
-        self.tried = tried
-        run, among = np.array([unit[0] for unit in t.runs]), np.zeros(len(t.runs), dtype=bool)
-        among[t.units(runs)] = True
-        own = list(dict.fromkeys(run[among].tolist()))
-        groups = np.array([among & np.isin(run, own[k::FOLDS]) for k in range(min(FOLDS, len(own)))])
-        self.readings = float(among @ t.count)
-        self.fitted = Regressions(t, tried, among[None], among[None])
-        cross_validated = Regressions(t, tried, among & ~groups, groups)
-        self.scores = [self._score(key, cross_validated) for key in tried if key not in t.spoiled]
-        # p-values need no decoded products of each unit, which are half of the memory
-        self.t = self.fitted.t = replace(t, decoded=t.decoded.summed(np.zeros((0, len(among)))))
-
-    def _score(self, key: str, cross_validated: Regressions) -> Score:
-        """Return the score of a candidate; `cross_validated`: without groups of runs, judged on each."""
-        c, found = self.tried[key], self.fitted.solved(key)
-        N, size = self.readings * len(c.model.channels), len(c.new) + c.variant.shapes
-        return Score(
-            effect=c.effect,
-            variant=c.variant,
-            model=c.model,
-            gain=max(float(found.plain[0] - found.left[0]), 0.0),
-            size=size,
-            bic=float(bic(found.left[0], N, size, N)),
-            ratio=cross_validated.ratio(key),
-            p_value=1.0,
-            absorbed=bool(found.absorbed[0]),
-        )
 
 
 def bic(cost: Values, effective: Values, size: int, N: Values) -> np.ndarray:

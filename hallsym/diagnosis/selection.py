@@ -223,6 +223,8 @@ def select(setup: Setup) -> "Selection":
         search.grow()
     if setup.base.sliced:
         search.confirm()
+    elif search.last is None:
+        search.last = [] if search.over() else search.screen(search.fit)[0].scores
     return search
 
 
@@ -232,7 +234,7 @@ class Selection:
 
     `start`: the fit without effects; `fit`: with all `effects`. `refits`: fits with some of the effects.
     `not_testable`: effect -> why this log cannot show it. `screened`: every screening; `last`: scores of the
-    one that found no further effect.
+    one beside all effects, None before it.
     """
 
     setup: Setup
@@ -242,7 +244,7 @@ class Selection:
     effects: list[Exact] = field(default_factory=list)
     not_testable: dict[str, str] = field(default_factory=dict)
     screened: list[Screen] = field(default_factory=list)
-    last: list[Score] = field(default_factory=list)
+    last: list[Score] | None = None
     of_values: float = 0.0
     """Share of the gap due to the values of the readings, such as steps: no effect can remove it."""
     cut_short: bool = False
@@ -283,16 +285,17 @@ class Selection:
 
     def grow(self) -> None:
         """Add effects while they lower the gap metric by the threshold, at most `Family.most_effects`."""
-        for count in range(len(self.effects), self.setup.base.model.family.most_effects + 1):
+        self.last = None
+        while (count := len(self.effects)) < self.setup.base.model.family.most_effects:
+            if count and not self.needed():
+                break
             if self.screened and self.over():
                 self.last = []
                 break
-            beside = f" beside {count}" if count else ""
-            self.setup.say(f"testing {len(self.setup.catalogue)} effects{beside}")
             worth = partial(self.worth, beside=count)
             exact = self.step(self.fit, worth)
-            self.last = self.screened[-1].scores
             if not exact or not worth(exact[0].score):
+                self.last = self.screened[-1].scores
                 break
             self.effects.append(replace(exact[0], rivals=tuple(exact[1:])))
             self.fit = exact[0].fit
@@ -304,8 +307,6 @@ class Selection:
         holdout runs, which decide.
         """
         policy, certain = self.policy, score.p_value < self.policy.certain
-        if beside == self.setup.base.model.family.most_effects or (beside and not self.needed()):
-            return False
         level = self.setup.threshold * (policy.half if certain and not beside else 1.0)
         return score.p_value < policy.false_alarm and max(score.ratio, np.sqrt(self.of_values)) <= 1 - level
 
@@ -326,12 +327,15 @@ class Selection:
 
     def screen(self, at: Refitted, remembers: float | None = None) -> tuple[Screen, Facts]:
         """Screen the catalogue at `at`, for noise of this correlation length in samples; None: estimated."""
+        count = len(at.base.model.effects) - len(self.start.base.model.effects)
+        beside = f" beside {count}" if count else ""
+        self.setup.say(f"testing {len(self.setup.catalogue)} effects{beside}")
         found = survey(at.base, self.runs)
         facts = facts_of(at.base, found)
         of_kind = faults(at.base, found, self.setup.tested)
         self.of_values = sum(f.power for f in of_kind if f.record.of_values)
         tried, trouble = candidates(at.base, self.setup.catalogue, facts)
-        screen = Screen(at.base, tried, self.runs, over=self.over)
+        screen = Screen(at.base, tried, self.runs)
         self.weigh(screen, found, remembers)
         self.screened.append(screen)
         self.not_testable |= trouble
