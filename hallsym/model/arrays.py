@@ -82,14 +82,14 @@ def on_arrays(function: ca.Function) -> Callable[..., list[np.ndarray]]:
 
     Raises `NotImplementedError` at once when the graph holds an operation without an array form.
     """
-    program = _compile(function)
+    program, size = _compile(function), function.sz_w()
     rows = [function.nnz_out(k) for k in range(function.n_out())]
     if not all(function.sparsity_out(k).is_dense() for k in range(function.n_out())):
         raise NotImplementedError(f"on_arrays needs dense outputs; densify {function.name()} first")
 
     @np.errstate(divide="ignore", over="ignore", invalid="ignore")
     def evaluate(inputs: Sequence[Sequence], out: Sequence[np.ndarray]) -> None:
-        work: list = [None] * function.sz_w()
+        work: list = [None] * size  # and no graph, which takes as much memory as the program
         for kind, op, a, b, target in zip(*program, strict=True):
             if kind == "binary":
                 work[target] = op(work[a], work[b])
@@ -105,7 +105,7 @@ def on_arrays(function: ca.Function) -> Callable[..., list[np.ndarray]]:
             else:
                 out[b][target] = work[a]
 
-    most = max(FEWEST, WORK // max(1, function.sz_w() + sum(rows)))
+    most = max(FEWEST, WORK // max(1, size + sum(rows)))
 
     def run(*inputs: Sequence, out: list[np.ndarray] | None = None) -> list[np.ndarray]:
         shape = np.broadcast_shapes(*{shape for column in inputs for shape in _shapes(column)})
@@ -129,11 +129,14 @@ BACKWARDS = 4
 def jacobian(values: ca.SX, variables: ca.SX) -> ca.SX:
     """Return d values / d variables in the mode, forwards or backwards, that likely needs fewer operations.
 
-    CasADi takes the mode with fewer directions. Each channel of an array of sensors has operations of its
-    own, which all directions backwards visit once together, and those forwards once for each variable.
+    CasADi takes the mode with fewer directions, and visits every operation once for each. Each channel of an
+    array of sensors has operations of its own: backwards each is taken by itself, so that they are visited
+    once together.
     """
-    most = max(np.bincount(ca.jacobian_sparsity(values, variables).row()), default=0)
-    return ca.jacobian(values, variables, {"allow_forward": bool(most < BACKWARDS)})
+    if max(np.bincount(ca.jacobian_sparsity(values, variables).row()), default=0) < BACKWARDS:
+        return ca.jacobian(values, variables)
+    rows = (ca.jacobian(value, variables, {"allow_forward": False}) for value in ca.vertsplit(values))
+    return ca.vertcat(*rows)
 
 
 def on_vectors(function: ca.Function) -> Callable[..., list[np.ndarray]]:
