@@ -417,8 +417,9 @@ class Columns:
     columns. `span`, `places`: as in `NormalEquations`. `pairs`: the columns, offsets not counted, of each
     product within a candidate. `channel`, `column`: (rows,) of each row of the `count` columns of candidates,
     rows of one channel together at `of_channel`. `own`: the rows (r,) of each candidate, column by column,
-    which begin at `ends`. `touched`: the channels of each column of `near`. `most`: samples whose columns
-    are in memory at once. `spoiled`: candidates that were not finite somewhere; their rows are 0 there.
+    which begin at `ends`. `touched`: columns of `near` with the channels that they touch, `touching`: those
+    of each channel. `most`: samples whose columns are in memory at once. `spoiled`: candidates that were not
+    finite somewhere; their rows are 0 there.
     """
 
     def __init__(
@@ -459,7 +460,10 @@ class Columns:
         self.whiten = np.linalg.cholesky(self.precision).T
         touched = np.zeros((own + 1, len(self.precision)), dtype=bool)
         touched[self.graph.near[1], self.graph.near[0]] = touched[-1] = True
-        self.touched = [np.flatnonzero(channels) for channels in touched]
+        alike, inverse = np.unique(touched, axis=0, return_inverse=True)
+        groups = ((np.flatnonzero(inverse.ravel() == k), channels) for k, channels in enumerate(alike))
+        self.touched = [(which, np.flatnonzero(channels)) for which, channels in groups]
+        self.touching = [np.flatnonzero(columns) for columns in touched.T]
 
     def batches(self, log: Log) -> Iterator[Batch]:
         """Yield a log in batches with all columns that the models read."""
@@ -526,15 +530,16 @@ def _add_products(
     work: Columns, near: np.ndarray, rows: np.ndarray, D: np.ndarray, out: tuple[Products, Products]
 ) -> None:
     """Add the products of some samples of each block."""
-    first, decoded = work.z + work.n, _decoded(work, D, near)
-    own = np.tensordot(work.whiten, near, axes=(1, 1)).swapaxes(0, 1)
-    for M, columns in zip(out, (own, decoded), strict=True):
-        M.border[:, :, work.near] += _gram(columns)
+    first, decoded, metric = work.z + work.n, _decoded(work, D, near), _weighted(work, near)
+    gram = np.zeros((near.shape[2], len(near), len(near)))
+    for k, at in enumerate(work.touching):
+        gram[:, at] += near[at, k].swapaxes(0, 1) @ metric[:, k].transpose(1, 2, 0)
+    out[0].border[:, :, work.near] += 0.5 * (gram + gram.swapaxes(1, 2))
+    out[1].border[:, :, work.near] += _gram(decoded)
     if not len(rows):
         return
-    metric = np.tensordot(work.precision, near, axes=(1, 1))
-    for columns, at in zip(metric, work.of_channel, strict=True):
-        across = columns.swapaxes(0, 1) @ rows[at].transpose(1, 2, 0)
+    for k, at in enumerate(work.of_channel):
+        across = metric[:, k].swapaxes(0, 1) @ rows[at].transpose(1, 2, 0)
         out[0].border[:, :, first + work.column[at]] += across
     for key, at in zip(work.places, work.own, strict=True):
         if len(at):
@@ -544,9 +549,17 @@ def _add_products(
 def _decoded(work: Columns, D: np.ndarray, near: np.ndarray) -> np.ndarray:
     """Return the columns `near` mapped to errors of the pose, (own, n_pose, blocks, samples)."""
     out = np.empty((len(near), len(D), *near.shape[2:]))
-    for k, column in enumerate(near):
-        at = work.touched[k]
-        np.einsum("ikbs,kbs->ibs", D[:, at], column[at], out=out[k])
+    for which, at in work.touched:
+        for k in which:
+            np.einsum("ikbs,kbs->ibs", D[:, at], near[k, at], out=out[k])
+    return out
+
+
+def _weighted(work: Columns, near: np.ndarray) -> np.ndarray:
+    """Return the columns `near` times the precision, of the same shape."""
+    out = np.empty(near.shape)
+    for which, at in work.touched:
+        out[which] = np.tensordot(work.precision[:, at], near[which[:, None], at], (1, 1)).swapaxes(0, 1)
     return out
 
 
