@@ -224,7 +224,7 @@ def select(setup: Setup) -> "Selection":
     if setup.base.sliced:
         search.confirm()
     elif search.last is None:
-        search.last = [] if search.over() else search.screen(search.fit)[0].scores
+        search.last = [] if search.over(more=True) else search.screen(search.fit)[0].scores
     return search
 
 
@@ -249,10 +249,15 @@ class Selection:
     """Share of the gap due to the values of the readings, such as steps: no effect can remove it."""
     cut_short: bool = False
     """Whether the budget ended the search before it was done."""
+    longest: float = 0.0
+    """Seconds that the longest screening took."""
 
-    def over(self) -> bool:
-        """Return whether the search has used up its budget; asked where there is more to do."""
-        self.cut_short |= self.setup.over
+    def over(self, more: bool = False) -> bool:
+        """Return whether the search has used up its budget; asked where there is more to do.
+
+        `more`: whether that is one more screening, which takes as long as the longest one so far.
+        """
+        self.cut_short |= self.setup.over_in(self.longest if more else 0.0)
         return self.cut_short
 
     @property
@@ -262,8 +267,8 @@ class Selection:
             return ""
         tested, known = {s.effect.name for each in self.screened for s in each.scores}, self.setup.catalogue
         return (
-            f"The search stopped after {self.setup.budget:g} s: {len(tested)} of {len(known)} effects were "
-            "tested, and not all that was promising was fitted."
+            f"The search stopped for its budget of {self.setup.budget:g} s: {len(tested)} of {len(known)} "
+            "effects were tested, and not all that was promising was fitted."
         )
 
     @property
@@ -289,7 +294,7 @@ class Selection:
         while (count := len(self.effects)) < self.setup.base.model.family.most_effects:
             if count and not self.needed():
                 break
-            if self.screened and self.over():
+            if self.screened and self.over(more=True):
                 self.last = []
                 break
             worth = partial(self.worth, beside=count)
@@ -328,7 +333,7 @@ class Selection:
     def screen(self, at: Refitted, remembers: float | None = None) -> tuple[Screen, Facts]:
         """Screen the catalogue at `at`, for noise of this correlation length in samples; None: estimated."""
         count = len(at.base.model.effects) - len(self.start.base.model.effects)
-        beside = f" beside {count}" if count else ""
+        beside, began = f" beside {count}" if count else "", self.setup.elapsed
         self.setup.say(f"testing {len(self.setup.catalogue)} effects{beside}")
         found = survey(at.base, self.runs)
         facts = facts_of(at.base, found)
@@ -338,6 +343,7 @@ class Selection:
         screen = Screen(at.base, tried, self.runs)
         self.weigh(screen, found, remembers)
         self.screened.append(screen)
+        self.longest = max(self.longest, self.setup.elapsed - began)
         self.not_testable |= trouble
         not_finite = "its readings are not finite on this log"
         self.not_testable |= {tried[key].effect.name: not_finite for key in screen.spoiled}
@@ -392,7 +398,7 @@ class Selection:
         """
         before = [e.name for e in self.effects]
         for k, effect in enumerate(self.effects[:-1]):
-            if self.over():
+            if self.over(more=True):
                 break
             if exact := self.step(self.without(effect)):
                 self.effects[k] = replace(exact[0], rivals=tuple(exact[1:]))

@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from time import perf_counter
 from typing import Any
@@ -60,8 +60,8 @@ class Setup:
     `log`: as it was fitted, with the channels as they were logged. `base`: the fit as the point where
     tangents are taken, channels assigned. Of a long log both hold every m-th sample. `holdout`: the runs that
     judge. `threshold`: relative decrease of the gap metric that counts. `split`: whether the runs are pieces
-    of one recording. `say`: reports progress. `budget`: seconds after which the search ends, None: without
-    limit.
+    of one recording. `say`: reports progress. `budget`: seconds within which the diagnosis ends, None:
+    without limit. `prepared`: when the preparation that `began` had ended.
     """
 
     log: Log
@@ -74,6 +74,7 @@ class Setup:
     say: Say
     began: float
     budget: float | None = None
+    prepared: float = field(default_factory=lambda: perf_counter())
 
     @cached_property
     def runs(self) -> list[int]:
@@ -98,7 +99,20 @@ class Setup:
     @property
     def over(self) -> bool:
         """Whether the search has used up its budget."""
-        return self.budget is not None and perf_counter() - self.began >= self.budget
+        return self.over_in(0.0)
+
+    def over_in(self, seconds: float) -> bool:
+        """Return whether the budget is used up so many seconds from now.
+
+        What is found is judged after the search, in about the time of the preparation.
+        """
+        judged = self.prepared - self.began
+        return self.budget is not None and self.elapsed + seconds + judged >= self.budget
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the diagnosis began."""
+        return perf_counter() - self.began
 
     @property
     def policy(self) -> Policy:

@@ -19,7 +19,7 @@ def test_no_budget_is_a_valid_diagnosis_of_the_first_pass() -> None:
     assert found.verdict == "unexplained"
     assert not found.effects
     (note,) = (n for n in found.notes if n.startswith("The search stopped"))
-    assert "after 0 s" in note
+    assert "budget of 0 s" in note
     assert json.loads(json.dumps(found.to_dict(), allow_nan=False))["verdict"] == found.verdict
 
 
@@ -38,7 +38,7 @@ def test_the_search_ends_where_the_clock_says_so(monkeypatch: pytest.MonkeyPatch
     found = diagnose(read_log(CAMPAIGN), "stage30", budget=50)
     assert found.verdict == "explained"
     assert found.ranked == ("vertical_gain_coupling",)
-    assert sum("The search stopped after 50 s" in n for n in found.notes) == 1
+    assert sum("The search stopped for its budget of 50 s" in n for n in found.notes) == 1
 
 
 def test_a_negative_budget_is_refused() -> None:
