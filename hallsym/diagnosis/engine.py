@@ -62,7 +62,7 @@ def diagnose(
     `model`: a name, a Model, or a Fit whose model is taken; the log's own base model by default. `holdout`:
     runs to judge on; the log's own, else every fifth. `effects`: the user's own, beside the catalogue.
     `corrections`: mistakes of the recording to undo, as for `fit`. `threshold`: relative decrease of the gap
-    metric that counts; the log's own, else 5 %. `budget`: seconds after which the search ends with the result
+    metric that counts; the log's own, else 5 %. `budget`: seconds within which it ends with the result
     so far and a note. `policy`: all other thresholds. `price`: says what an effect costs in C
     (`hallsym.codegen.price`); without it the `cost` of an effect is its parameters and signals.
 
@@ -84,7 +84,7 @@ def examine(setup: Setup, price: Price | None = None) -> Examined:
     selection = select(setup)
     forget_candidates(selection.fit.base)
     others = without_events(setup, selection.fit.base.on_all)
-    if others is not setup and not setup.over and (again := select(others)).effects:
+    if others is not setup and not setup.over() and (again := select(others)).effects:
         setup, selection = others, again
     if selection.stopped:
         setup = replace(setup, fit=setup.fit.changed(notes=(*setup.fit.notes, selection.stopped)))

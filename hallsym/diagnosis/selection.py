@@ -257,7 +257,7 @@ class Selection:
 
         `more`: whether that is one more screening, which takes as long as the longest one so far.
         """
-        self.cut_short |= self.setup.over_in(self.longest if more else 0.0)
+        self.cut_short |= self.setup.over(self.longest if more else 0.0)
         return self.cut_short
 
     @property

@@ -96,18 +96,13 @@ class Setup:
         metric = float(np.linalg.norm(self.base.pose_weights * list(rmse.values())))
         return Floor(rmse, metric, self.fit.goodness.uncertain if self.fit.goodness else 1.0)
 
-    @property
-    def over(self) -> bool:
-        """Whether the search has used up its budget."""
-        return self.over_in(0.0)
-
-    def over_in(self, seconds: float) -> bool:
-        """Return whether the budget is used up so many seconds from now.
+    def over(self, ahead: float = 0.0) -> bool:
+        """Return whether the search has used up its budget, so many seconds from now.
 
         What is found is judged after the search, in about the time of the preparation.
         """
         judged = self.prepared - self.began
-        return self.budget is not None and self.elapsed + seconds + judged >= self.budget
+        return self.budget is not None and self.elapsed + ahead + judged >= self.budget
 
     @property
     def elapsed(self) -> float:
