@@ -293,11 +293,11 @@ def normal_equations(
                 part = parts.setdefault(key, len(parts))
                 unit = part if length else pool[key[0]]
                 count[unit] += weight[first + k]
-                sums = unit, unit if judged is None else fold.get(key[0], folds - 1)
-                for M, unit, own, more in zip(made, sums, offsets, both, strict=True):
+                into = unit, unit if judged is None else fold.get(key[0], folds - 1)
+                for M, place, own, more in zip(made, into, offsets, both, strict=True):
                     own[part] += more.border[k, : work.z]
-                    M.border[unit] += more.border[k, work.z :, work.z :]
-                    M.inner[unit] += more.inner[k]
+                    M.border[place] += more.border[k, work.z :, work.z :]
+                    M.inner[place] += more.inner[k]
     run = np.array([number for number, _ in parts])
     if length:
         groups = [(number,) for number in run.tolist()]
@@ -538,9 +538,9 @@ def _add_products(
     out[1].border[:, :, work.near] += _gram(decoded)
     if not len(rows):
         return
-    for k, at in enumerate(work.of_channel):
-        across = metric[:, k].swapaxes(0, 1) @ rows[at].transpose(1, 2, 0)
-        out[0].border[:, :, first + work.column[at]] += across
+    for k, here in enumerate(work.of_channel):
+        across = metric[:, k].swapaxes(0, 1) @ rows[here].transpose(1, 2, 0)
+        out[0].border[:, :, first + work.column[here]] += across
     for key, at in zip(work.places, work.own, strict=True):
         if len(at):
             _add_own(work, key, rows[at], D, decoded, out)
