@@ -44,7 +44,7 @@ def model_on(
             model = effect.added(model, text)
         else:
             setup = prepare(log, model, holdout=holdout, drop_bad=drop_bad, on_progress=on_progress)
-            model = _shown(setup, effect)
+            model = _shown(setup.part, effect)
     return adapted(model, (), parameters or {}, own)
 
 

@@ -81,11 +81,12 @@ def diagnose(
 
 def examine(setup: Setup, price: Price | None = None) -> Examined:
     """Diagnose as `diagnose` does and return the fitted models too, which a page draws."""
-    selection = select(setup)
+    selection = select(setup.part)
     forget_candidates(selection.fit.base)
     others = without_events(setup, selection.fit.base.on_all)
-    if others is not setup and not setup.over() and (again := select(others)).effects:
+    if others is not setup and not setup.over() and (again := select(others.part)).effects:
         setup, selection = others, again
+    selection = selection.on_all(setup)
     if selection.stopped:
         setup = replace(setup, fit=setup.fit.changed(notes=(*setup.fit.notes, selection.stopped)))
     found = validate(setup, selection)

@@ -9,6 +9,7 @@ changes estimates the bias. Autocorrelation matters to derived columns only, suc
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from hallsym.estimation.goodness_of_fit import ROOM
 from hallsym.log import Block
 from hallsym.log.batches import Batch, batches, is_cached
 from hallsym.log.derived import share_windows
+from hallsym.log.part import Window
 from hallsym.model import Model
 
 WHITE = np.array([1.0, 0.0])
@@ -46,17 +48,28 @@ class _Moved:
     def source(self) -> _Moved:
         return self
 
+    @property
+    def windows(self) -> tuple[Window, ...]:
+        rng, known = np.random.default_rng(0), getattr(self.log, "windows", ())
+        return tuple(replace(w, data=self._moved(w.data, rng)) for w in known)
+
     def blocks(self, columns: Sequence[str] | None = None, size: int = 1 << 16) -> Iterator[Block]:
         rng, wanted = np.random.default_rng(0), self.log.columns if columns is None else columns
+        if windows := self.windows:
+            yield from (window.block(wanted) for window in windows)
+            return
         known = (b for batch in batches(self.log, wanted) for b in batch.blocks)
         for block in known if is_cached(self.log) else self.log.blocks(wanted, size):
-            data = dict(block.data)
-            n = len(next(iter(data.values()))) + len(self.weights) - 1
-            for column, by in self.sizes.items():
-                signs = rng.integers(0, 2, n) * 2.0 - 1.0
-                if column in data:
-                    data[column] = data[column] + by * np.convolve(signs, self.weights, "valid")
-            yield Block(block.run, data)
+            yield Block(block.run, self._moved(block.data, rng))
+
+    def _moved(self, data: Mapping[str, np.ndarray], rng: np.random.Generator) -> dict[str, np.ndarray]:
+        out = dict(data)
+        n = len(next(iter(out.values()))) + len(self.weights) - 1
+        for column, by in self.sizes.items():
+            signs = rng.integers(0, 2, n) * 2.0 - 1.0
+            if column in out:
+                out[column] = out[column] + by * np.convolve(signs, self.weights, "valid")
+        return out
 
 
 def shared_noise(

@@ -23,13 +23,20 @@ from solvers import bounded_step, gauss_newton
 class Refitted:
     """A model fitted on some runs: its parameters, its tangents there, and its residual.
 
-    `cost`: whitened squares over the fitted runs.
+    `cost`: whitened squares over the fitted runs. `mapped`: the products `decoded` where they are known.
     """
 
     base: Base
     tangents: NormalEquations
     fitted: np.ndarray
     cost: float
+    mapped: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, base: Base, tangents: NormalEquations, runs: Sequence[int]) -> "Refitted":
+        """Return the fit at which the tangents were taken."""
+        units = tangents.units(runs)
+        return cls(base, tangents, units, float(tangents.likelihood[units, -1, -1].sum()))
 
     @cached_property
     def decoded(self) -> np.ndarray:
@@ -37,7 +44,7 @@ class Refitted:
 
         Computed on first use, since intermediate steps and rejected fits do not need them.
         """
-        return normal_equations(self.base).decoded.border
+        return normal_equations(self.base).decoded.border if self.mapped is None else self.mapped
 
     @property
     def output(self) -> np.ndarray:
@@ -69,10 +76,11 @@ class Refitted:
     def distance(self, other: "Refitted") -> float:
         """Return the whitened squared distance of two residuals: the separation of the models by this log."""
         known = frozenset(run for unit in self.fitted for run in self.tangents.runs[unit])
-        return sum(
+        squares = sum(
             float((((one.residual - two.residual) * one.used) ** 2).sum())
             for one, two in zip(pieces(self.base, known), pieces(other.base, known), strict=True)
         )
+        return squares * (self.base.log.rows / self.base.part.log.rows)
 
     def at_bound(self) -> tuple[int, ...]:
         """Index of the free parameters that ended at one of their bounds."""
@@ -96,6 +104,15 @@ class Refitted:
         # the residual is r = v-combination of the columns: offsets take -follow of it
         follow = zip(self.tangents.order, self.tangents.follow, strict=True)
         return replace(base, p=p, offsets={run: base.offsets.get(run, 0.0) - f @ v for run, f in follow})
+
+    def stepped(self) -> "Refitted":
+        """Return the fit at the minimum of its tangents without another pass; they hold `decoded` too."""
+        base, t, free = self.moved(1.0), self.tangents, list(self.base.free)
+        to_end = np.eye(len(free) + 1)
+        to_end[-1, :-1] = (self.base.p - base.p)[free]
+        likelihood, mapped = (to_end @ M.border @ to_end.T for M in (t.whitened, t.decoded))
+        t = replace(t, whitened=t.whitened._replace(border=likelihood), follow=t.follow @ to_end.T)
+        return Refitted(base, t, self.fitted, float(likelihood[self.fitted, -1, -1].sum()), mapped)
 
     def unseen(self) -> tuple[int, ...]:
         """Index of the free parameters on which no fitted sample depends, see `seen`."""
@@ -167,19 +184,36 @@ def refit(base: Base, runs: Sequence[int], beside: float = np.inf) -> Refitted:
     """Minimise the whitened residual of `runs` from `base`; every run's offsets follow its own samples.
 
     It ends where a step lowers the cost by less than 1e-5 of it, or where steps as good as the last one do
-    not reach the cost `beside` it in the passes that are left.
+    not reach the cost `beside` it in the passes that are left. A long log is fitted in part first.
     """
     left = count(PASSES, -1)
-
-    def linearised(at: Base) -> Refitted:
-        t = normal_equations(at, decoded=False)
-        units = t.units(runs)
-        return Refitted(at, t, units, float(t.likelihood[units, -1, -1].sum()))
+    if base.part is not base:
+        return _refit_all(replace(base, p=refit(base.part, runs).base.p), runs)
 
     def converged(now: Refitted, gained: float) -> bool:
         return gained <= 1e-5 * now.cost or next(left) * gained < now.cost - beside
 
+    def linearised(at: Base) -> Refitted:
+        return Refitted.of(at, normal_equations(at, decoded=False), runs)
+
     return gauss_newton(linearised, base, converged, PASSES)[0]
+
+
+def _refit_all(base: Base, runs: Sequence[int]) -> Refitted:
+    """Minimise the residual on all samples of a long log from the minimum on its part.
+
+    The last step needs no pass once it is within the uncertainty of the part: over that the model is as
+    linear as its covariance supposes.
+    """
+
+    def converged(now: Refitted, _: float) -> bool:
+        gained, more = now.cost - now.stepped().cost, base.log.rows / base.part.log.rows
+        return gained <= base.policy.separated**2 * more * len(base.free) * now.variance(1.0)
+
+    def linearised(at: Base) -> Refitted:
+        return Refitted.of(at, normal_equations(at), runs)
+
+    return gauss_newton(linearised, base, converged, PASSES)[0].stepped()
 
 
 def seen(base: Base, M: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import wraps
+from functools import cached_property, wraps
 from typing import Any, TypeVar
 
 import casadi as ca
@@ -11,8 +11,9 @@ import numpy as np
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.estimation.decoding import columns_of, decoding_gain
 from hallsym.log import Log
-from hallsym.log.batches import Batch, Weigh, batches, forget, is_cached
-from hallsym.log.derived import extended
+from hallsym.log.batches import CACHED_ROWS, Batch, Weigh, batches, forget, is_cached, remembered
+from hallsym.log.derived import HALO, extended
+from hallsym.log.part import part_of
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.model.derived import campaign_time, rate, run_time
@@ -56,6 +57,14 @@ class Base:
     def on_all(self) -> "Base":
         """The same on all samples."""
         return self if self.keep is None else replace(self, keep=None)
+
+    @cached_property
+    def part(self) -> "Base":
+        """The same on a bounded part of a long log (`part_of`); itself where the log is short."""
+        log = part_of(self.log, CACHED_ROWS, HALO)
+        if log is self.log:
+            return self
+        return replace(self, log=log, keep=self.keep and remembered(self.keep, log.rows))
 
     @property
     def values(self) -> dict[str, float]:
@@ -129,8 +138,9 @@ class Piece:
 def pieces(base: Base, runs: frozenset[int]) -> Iterator[Piece]:
     """Yield the whitened residual of some runs beside the quantities it may depend on.
 
-    Residuals of a log whose batches are cached (`is_cached`) are cached for the next call with the same base.
+    Of a long log a bounded part of it (`Base.part`), which is cached for the next call with the same base.
     """
+    base = base.part
     model, (log, columns) = base.model, _beside(base)
     known, evaluate = _kept(base, base.log.runs) if is_cached(base.log) else [], _residual_of(base)
     for k, batch in enumerate(batches(log, columns)):

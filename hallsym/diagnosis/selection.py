@@ -279,7 +279,7 @@ class Selection:
     @property
     def significance(self) -> Significance:
         """Significance of any effect at all: of one recording, with the others in place."""
-        first = [s.significance for s in self.screened if s.base is self.start.base][-1]
+        first = [s.significance for s in self.screened if s.base.model is self.start.base.model][-1]
         confirmed = self.effects if self.setup.base.sliced else []
         return replace(first, p_value=min((e.score.p_value for e in confirmed), default=first.p_value))
 
@@ -423,6 +423,34 @@ class Selection:
             self.drop(*self.effects)
         self.last = self.screen(self.fit, remembers)[0].scores
 
+    def on_all(self, setup: Setup) -> "Selection":
+        """Return a search on a part of a log with its fits made on all samples; itself where it had them all.
+
+        Rivals that are certainly worse on the part are left out, and all of them once the budget is used up.
+        """
+        if self.setup is setup:
+            return self
+        setup.say(f"fitting to all {setup.base.log.rows} samples")
+        worse = self.policy.separated**2 * survey(self.fit.base, self.runs).inflation
+        known: dict[Refitted, Refitted] = {}
+
+        def fitted(fit: Refitted) -> Refitted:
+            if fit not in known:
+                whole = replace(fit.base, log=setup.base.log, keep=setup.base.keep)
+                known[fit] = refit(whole, self.runs)
+            return known[fit]
+
+        def exact(e: Exact) -> Exact:
+            fit, limit = fitted(e.fit), e.fit.cost + worse * e.fit.variance(1.0)
+            rivals = tuple(exact(r) for r in e.rivals if r.fit.cost < limit and not setup.over)
+            return replace(e, fit=fit, bic=fit.bic(e.score.size), rivals=rivals)
+
+        start = fitted(self.start)
+        effects = [exact(e) for e in self.effects]
+        return replace(
+            self, setup=setup, start=start, fit=fitted(self.fit), refits={(): start}, effects=effects
+        )
+
     def drop(self, *effects: Exact) -> None:
         """Continue without some effects."""
         self.fit = self.without(*effects)
@@ -449,4 +477,4 @@ class Selection:
 
     def screened_at(self, base: Base) -> Screen | None:
         """Return the last screening of the catalogue at a fit; None where there was none."""
-        return next((s for s in reversed(self.screened) if s.base is base), None)
+        return next((s for s in reversed(self.screened) if s.base.model is base.model), None)

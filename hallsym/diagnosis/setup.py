@@ -13,7 +13,7 @@ import numpy as np
 from hallsym.diagnosis.decoded_errors import FIRST, errors_of
 from hallsym.diagnosis.p_values import statistic_at
 from hallsym.diagnosis.policy import POLICY, Policy
-from hallsym.diagnosis.residuals import FOLDS, NIL, Base
+from hallsym.diagnosis.residuals import FOLDS, NIL, Base, found_once
 from hallsym.diagnosis.survey import products_at_lags
 from hallsym.errors import InputError, counted
 from hallsym.estimation.calibration import Fit
@@ -21,14 +21,13 @@ from hallsym.estimation.claims import assigned
 from hallsym.estimation.decoding import logged_columns
 from hallsym.estimation.fit import ALL, fit
 from hallsym.estimation.goodness_of_fit import noise_floor
-from hallsym.estimation.likelihood import Point, cost_near
+from hallsym.estimation.likelihood import Cost, Point, cost_near
 from hallsym.estimation.task import noise_of
 from hallsym.families import build, default_model
 from hallsym.families.faults import FAULTS
-from hallsym.families.mechanisms import MAINS_HZ, MAINS_REACH_HZ
 from hallsym.families.recording import Assignment, as_read, corrected
 from hallsym.log import Log, clean_log, usable
-from hallsym.log.batches import CACHED_ROWS, remembered
+from hallsym.log.batches import remembered
 from hallsym.log.phase import at_rest, continuous
 from hallsym.log.quality.scan import FEWEST_SAMPLES
 from hallsym.model import Effect, Model
@@ -58,7 +57,7 @@ class Setup:
     """The input of every stage of a diagnosis, which none changes.
 
     `log`: as it was fitted, with the channels as they were logged. `base`: the fit as the point where
-    tangents are taken, channels assigned. Of a long log both hold every m-th sample. `holdout`: the runs that
+    tangents are taken, channels assigned. `holdout`: the runs that
     judge. `threshold`: relative decrease of the gap metric that counts. `split`: whether the runs are pieces
     of one recording. `say`: reports progress. `budget`: seconds within which the diagnosis ends, None:
     without limit. `prepared`: when the preparation that `began` had ended.
@@ -75,6 +74,12 @@ class Setup:
     began: float
     budget: float | None = None
     prepared: float = field(default_factory=lambda: perf_counter())
+
+    @property
+    def part(self) -> "Setup":
+        """The same on the part of a long log on which effects are searched."""
+        base = self.base.part
+        return self if base is self.base else replace(self, base=base)
 
     @cached_property
     def runs(self) -> list[int]:
@@ -166,9 +171,14 @@ def base_of(log: Log, result: Fit) -> Base:
 
 def point_on(base: Base, runs: Iterable[int]) -> Point:
     """Return the likelihood of `base` on some runs, at its parameters."""
-    cost = cost_near(base.log, base.model, base.p, base.sigma, base.keep)
+    cost = _cost(base, ())
     among = np.isin(cost.summary.runs, list(runs))
     return replace(cost, weights=cost.weights * among).at(base.p)
+
+
+@found_once
+def _cost(base: Base, _: frozenset[int]) -> Cost:
+    return cost_near(base.log, base.model, base.p, base.sigma, base.keep)
 
 
 def prepare(
@@ -216,18 +226,12 @@ def prepare(
         result = fit(log, inspected, corrections=wires, accept=(ALL,), **asked)
     result = result.changed(model=model)
     base = base_of(log, result)
-    if log.rows > CACHED_ROWS:
-        say("decimating the log")
-        logged = replace(base.on_all, log=log)
-        every = spacing(logged, CACHED_ROWS)
-        log = kept(logged, every, log.rows)
-        base = base_of(log, result)
-        if every > 1:
-            long = (
-                f"The log is long: every {every}. sample of it is diagnosed, and uncertainties are "
-                "those of these samples. hallsym fit uses all of them."
-            )
-            result = result.changed(notes=(*result.notes, long))
+    if (part := base.part) is not base:
+        long = (
+            f"The log is long: effects were searched on {part.log.rows} of its {log.rows} samples, in "
+            "stretches over all of it; what was found is fitted to and judged on all samples."
+        )
+        result = result.changed(notes=(*result.notes, long))
     if arrow := sys.modules.get("pyarrow"):  # frees the memory that reading the file took
         arrow.default_memory_pool().release_unused()
     return Setup(
@@ -440,75 +444,3 @@ def knot_group(at: np.ndarray, count: int) -> np.ndarray:
     knots (a stepper's) is seen on both sides.
     """
     return 2 * (at // 2 % (count // 2)) + (at + at // 4) % 2
-
-
-# -- a long log ----------------------------------------------------------------------------------------------
-
-
-PER_PERIOD = 12
-"""Samples per period of the fastest motion that a decimated log keeps."""
-
-
-def kept(base: Base, every: int, most: int) -> Log:
-    """Return a decimation of the first `most` samples of each run, without those that the fit left out."""
-    log = base.log
-    if every == 1 and most >= log.rows and base.keep is None:
-        return log
-    seen = dict.fromkeys(log.runs, 0)
-    parts: dict[str, list[np.ndarray]] = {c: [] for c in log.columns}
-    for block in log.blocks():
-        n = len(block.data["t_s"])
-        index = seen[block.run] + np.arange(n)
-        seen[block.run] += n
-        keep = (index % every == 0) & (index < most)
-        if base.keep is not None:
-            keep &= base.keep(block) > 0
-        for column in log.columns:
-            values = np.full(n, block.run) if column == "run" else block.data[column]
-            parts[column].append(values[keep])
-    columns = {
-        c: np.concatenate(parts.pop(c)) for c in log.columns
-    }  # one column at a time is twice in memory
-    return Log.from_arrays(columns, log.noise, log.meta, log.name)
-
-
-def spacing(base: Base, rows: int) -> int:
-    """Return the decimation that leaves about `rows`, or less of one if motion or mains need it."""
-    known, every = 1, -(-base.log.rows // rows)
-    beyond = every + 1
-    while beyond - known > 1:
-        known, beyond = (every, beyond) if _resolved(base, every) else (known, every)
-        every = (known + beyond) // 2
-    return known
-
-
-def _resolved(base: Base, every: int) -> bool:
-    """Return whether a decimation resolves the motion, its turns, and the mains.
-
-    A sine of `PER_PERIOD` samples a period has second differences of (2 sin(pi / PER_PERIOD))^2 of itself;
-    six times the variance of the noise is in them too.
-    """
-    model, step, count = base.model, list[float](), 0
-    moved, bent, stepped = np.zeros((3, len(model.pose)))
-    period = np.array([model.period.get(c, np.inf) for c in model.pose])
-    for block in base.log.blocks(("t_s", *model.references), 1 << 16):
-        t, x = block.data["t_s"][::every], np.array([block.data[c] for c in model.references])
-        if len(t) < FEWEST_SAMPLES:
-            continue
-        x = np.array([v if np.isinf(p) else np.unwrap(v, period=p) for v, p in zip(x, period, strict=True)])
-        stepped += (np.diff(x) ** 2).mean(axis=1) * len(t)  # at the full rate, where no turn is lost
-        x = x[:, ::every]
-        step.append(float(np.median(np.diff(t))))
-        moved += x.var(axis=1) * len(t)
-        bent += (np.diff(x, 2) ** 2).sum(axis=1) * len(t) / (len(t) - 2)
-        count += len(t)
-    if not count:
-        return False
-    noise = np.array([base.sigma.get(c, 0.0) ** 2 for c in model.references])
-    weights = base.pose_weights**2
-    most = (2 * np.sin(np.pi / PER_PERIOD)) ** 4
-    return bool(
-        weights @ (bent / count - 6 * noise) <= most * (weights @ (moved / count - noise).clip(0.0))
-        and (every * np.sqrt((stepped / count - 2 * noise).clip(0.0)) * PER_PERIOD <= period).all()
-        and 2 * (MAINS_HZ[-1] + MAINS_REACH_HZ) * np.median(step) <= 1
-    )

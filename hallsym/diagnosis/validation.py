@@ -367,7 +367,7 @@ def all_noise(setup: Setup, found: Validation, rest: LackOfFit, metric: float, n
 
     No function of the motion, the state and time may predict the threshold.
     """
-    floor, base = found.floor, found.base
+    floor, base = found.floor, found.base.part
     stated = any(s.source == "given" for s in setup.fit.noise.sigmas.values())
     if not stated or shaped(setup, rest):
         return False

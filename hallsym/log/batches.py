@@ -175,7 +175,7 @@ def is_cached(log: Log) -> bool:
 
     Those of a view of a log with other numbers, which is read once, are not.
     """
-    return isinstance(log.source, Log) and log.table.in_memory and log.rows <= CACHED_ROWS
+    return type(log.source) is Log and log.table.in_memory and log.rows <= CACHED_ROWS
 
 
 def forget(log: Log, but: Collection[str]) -> None:
@@ -207,7 +207,7 @@ def _cached(log: Log, columns: Sequence[str]) -> Iterator[Batch]:
 
 
 def _read(log: Log, columns: Sequence[str]) -> Iterator[Batch]:
-    if isinstance(log, Log) and log.table.in_memory:
+    if type(log) is Log and log.table.in_memory:
         yield from _parts(log, columns)
         return
     waiting: list[Block] = []

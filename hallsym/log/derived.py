@@ -13,6 +13,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from hallsym.log.core import Block, Log
+from hallsym.log.part import Window
 from hallsym.log.table import joined
 from hallsym.model import Model
 from hallsym.model.derived import HALVES, Computed, Stretch
@@ -96,6 +97,13 @@ class ExtendedLog:
         """Yield blocks with up to HALO samples of context on either side, and where the block itself lies."""
         windows = _WINDOWS.setdefault(self.log, {})
         sigma = tuple(sorted(self.sigma.items()))
+        known: Sequence[Window] = getattr(self.log, "windows", ())
+        for w in known:
+            chosen = windows.setdefault((w.run, w.first_s, size, sigma), {})
+            data = {c: w.data[c] for c in columns}
+            yield Stretch(w.run, data, w.first_s, self.log.origin_s, self.sigma, chosen), w.inner
+        if known:
+            return
         before: Block | None = None
         for block, after in pairwise(chain(self.log.blocks(columns, max(size, HALO)), [None])):
             assert block is not None
