@@ -76,11 +76,10 @@ class Refitted:
     def distance(self, other: "Refitted") -> float:
         """Return the whitened squared distance of two residuals: the separation of the models by this log."""
         known = frozenset(run for unit in self.fitted for run in self.tangents.runs[unit])
-        squares = sum(
+        return sum(
             float((((one.residual - two.residual) * one.used) ** 2).sum())
             for one, two in zip(pieces(self.base, known), pieces(other.base, known), strict=True)
         )
-        return squares * (self.base.log.rows / self.base.part.log.rows)
 
     def at_bound(self) -> tuple[int, ...]:
         """Index of the free parameters that ended at one of their bounds."""

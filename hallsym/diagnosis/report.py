@@ -28,7 +28,7 @@ from hallsym.diagnosis.record import (
     SmallerFinding,
     Unexplained,
 )
-from hallsym.diagnosis.refit import Refitted
+from hallsym.diagnosis.refit import Refitted, refit
 from hallsym.diagnosis.residual_table import both
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import by_name
@@ -335,15 +335,18 @@ def model_error(
     counts = curve is not None and curve.line and curve.column.removeprefix("d0_") in placed
     share = lies.statements[0].share if lies is not None and lies.statements and counts else 0.0
     left = float(np.sqrt(max(1 - share, 0.0)))
-    models = found.fit, *confused.fits  # each with its probability by BIC
-    bic = np.array([f.bic(len(f.base.free), found.inflation) for f in models])
+    own = found.fit  # each model with its probability by BIC, on the part of a long log that rivals have
+    if confused.fits and found.base.part is not found.base:
+        own = refit(found.base.part, setup.runs)
+    bic = np.array([f.bic(len(f.base.free), found.inflation) for f in (own, *confused.fits)])
     weight = np.exp(-0.5 * (bic - bic.min()))
+    bases = found.base, *(f.base for f in confused.fits)
     return ModelLeft(
         rest={c: 0.0 if known else v * left for c, v in above.items()},
         shape_counts=counts,
         candidates=tuple(
-            NotExcluded(tuple(added_effects(f.base.model)), f.base.values, float(w))
-            for f, w in zip(models, weight / weight.sum(), strict=True)
+            NotExcluded(tuple(added_effects(base.model)), base.values, float(w))
+            for base, w in zip(bases, weight / weight.sum(), strict=True)
             if confused.fits
         ),
     )

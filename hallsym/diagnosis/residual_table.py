@@ -89,7 +89,7 @@ class ResidualTable:
 def table_of(base: Base, runs: frozenset[int]) -> ResidualTable | None:
     """Return the residual of `base` on `runs`; None where no sample of them counts."""
     model, back = base.model, np.linalg.inv(base.whiten)
-    stride = max(1, -(-base.log.rows // ROOM))
+    stride = max(1, -(-base.part.log.rows // ROOM))
     seen = Counter[int]()
     out: dict[str, list[np.ndarray]] = {}
     for piece in pieces(base, runs):

@@ -424,32 +424,19 @@ class Selection:
         self.last = self.screen(self.fit, remembers)[0].scores
 
     def on_all(self, setup: Setup) -> "Selection":
-        """Return a search on a part of a log with its fits made on all samples; itself where it had them all.
+        """Return a search on a part of a log with its fit made on all samples; itself where it had them all.
 
-        Rivals that are certainly worse on the part are left out, and all of them once the budget is used up.
+        Rivals of an effect stay fitted to the part, and are compared there: on millions of samples the noise
+        of a computed rate separates effects that no recording of this motion does.
         """
         if self.setup is setup:
             return self
         setup.say(f"fitting to all {setup.base.log.rows} samples")
-        worse = self.policy.separated**2 * survey(self.fit.base, self.runs).inflation
-        known: dict[Refitted, Refitted] = {}
-
-        def fitted(fit: Refitted) -> Refitted:
-            if fit not in known:
-                whole = replace(fit.base, log=setup.base.log, keep=setup.base.keep)
-                known[fit] = refit(whole, self.runs)
-            return known[fit]
-
-        def exact(e: Exact) -> Exact:
-            fit, limit = fitted(e.fit), e.fit.cost + worse * e.fit.variance(1.0)
-            rivals = tuple(exact(r) for r in e.rivals if r.fit.cost < limit and not setup.over)
-            return replace(e, fit=fit, bic=fit.bic(e.score.size), rivals=rivals)
-
-        start = fitted(self.start)
-        effects = [exact(e) for e in self.effects]
-        return replace(
-            self, setup=setup, start=start, fit=fitted(self.fit), refits={(): start}, effects=effects
-        )
+        start = refit(setup.base, self.runs)
+        if not self.effects:
+            return replace(self, setup=setup, start=start, fit=start, refits={(): start})
+        end = refit(replace(self.fit.base, log=setup.base.log, keep=setup.base.keep), self.runs)
+        return replace(self, setup=setup, start=start, fit=end, refits={(): start})
 
     def drop(self, *effects: Exact) -> None:
         """Continue without some effects."""
@@ -473,7 +460,7 @@ class Selection:
             out.append(self.without(e))
             rest = {other.name for other in self.effects} - {e.name}
             out += [r.fit for r in e.rivals if rest <= set(r.fit.base.model.effects)]
-        return out
+        return [fit for fit in out if fit.base.log is self.fit.base.log]
 
     def screened_at(self, base: Base) -> Screen | None:
         """Return the last screening of the catalogue at a fit; None where there was none."""

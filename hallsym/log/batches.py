@@ -175,7 +175,7 @@ def is_cached(log: Log) -> bool:
 
     Those of a view of a log with other numbers, which is read once, are not.
     """
-    return type(log.source) is Log and log.table.in_memory and log.rows <= CACHED_ROWS
+    return isinstance(log.source, Log) and log.table.in_memory and log.rows <= CACHED_ROWS
 
 
 def forget(log: Log, but: Collection[str]) -> None:

@@ -101,7 +101,7 @@ class ExtendedLog:
         for w in known:
             chosen = windows.setdefault((w.run, w.first_s, size, sigma), {})
             data = {c: w.data[c] for c in columns}
-            yield Stretch(w.run, data, w.first_s, self.log.origin_s, self.sigma, chosen), w.inner
+            yield Stretch(w.run, data, w.first_s, known[0].origin_s, self.sigma, chosen), w.inner
         if known:
             return
         before: Block | None = None

@@ -25,14 +25,15 @@ LENGTH = 1024
 class Window:
     """A stretch of a run: `data` with the samples beside it, `inner`: where it lies in them.
 
-    `inner` is `slice(None)` for a whole run. `first_s`: time of the first sample of the run [s], None in a
-    log without time.
+    `inner` is `slice(None)` for a whole run. `first_s`, `origin_s`: time of the first sample of the run and
+    of the log [s]; 0 in a log without time.
     """
 
     run: int
     data: Piece
     inner: slice
-    first_s: float | None
+    first_s: float
+    origin_s: float
 
     def block(self, columns: Sequence[str]) -> Block:
         """Return the stretch itself."""
@@ -41,10 +42,9 @@ class Window:
 
 @dataclass(frozen=True, eq=False)
 class Part(Log):
-    """Some stretches of a log, as a log in memory; `origin_s`: time of the first sample of the whole log."""
+    """Some stretches of a log, as a log in memory."""
 
     windows: tuple[Window, ...] = ()
-    origin_s: float | None = None
 
     def blocks(self, columns: Sequence[str] | None = None, size: int = CHUNK_ROWS) -> Iterator[Block]:
         """Yield the stretches one by one, whatever the `size`."""
@@ -55,14 +55,12 @@ class Part(Log):
 _PARTS: WeakKeyDictionary[Log, Part] = WeakKeyDictionary()
 
 
-def part_of(log: Log, rows: int, beside: int) -> Log:
-    """Return about `rows` samples of a log, in stretches, or the log itself if it has no more.
+def part_of(log: Log, rows: int, beside: int) -> Part:
+    """Return about `rows` samples of a longer log, in stretches.
 
     `beside`: samples that each stretch knows on either side. One stretch is drawn from each of as many equal
     parts of the log, so that no period of the recording, such as that of the holdout runs, meets another.
     """
-    if log.rows <= rows:
-        return log
     if log not in _PARTS:
         _PARTS[log] = _part(log, rows, beside)
     return _PARTS[log]
@@ -84,18 +82,16 @@ def _part(log: Log, rows: int, beside: int) -> Part:
             start, stop = max(stretch[1] - beside - low, 0), min(stretch[2] + beside - low, n)
             if start < stop:
                 data[stretch].append({c: v[start:stop].copy() for c, v in block.data.items()})
+    origin = next(iter(first.values()), 0.0)
     windows = tuple(
-        Window(run, joined(data.pop((run, low, high)), columns), inner, first.get(run))
+        Window(run, joined(data.pop((run, low, high)), columns), inner, first.get(run, 0.0), origin)
         for run, low, high in list(data)
         for inner in [slice(None) if high - low == counts[run] else _inner(low, high, beside)]
     )
     inside = {c: np.concatenate([w.data[c][w.inner] for w in windows]) for c in columns}
     inside["run"] = inside["run"].astype(int)
     table = Log.from_arrays(inside, log.noise, log.meta, log.name).table
-    origin = next(iter(first.values()), None)
-    return Part(
-        table, log.noise, log.meta, log.path, log.notes, log.counted, windows=windows, origin_s=origin
-    )
+    return Part(table, log.noise, log.meta, log.path, log.notes, log.counted, windows=windows)
 
 
 def _inner(low: int, high: int, beside: int) -> slice:

@@ -1,4 +1,4 @@
-"""A long log is decimated before it is diagnosed: the answer is that of all samples."""
+"""Effects are searched on a part of a long log; what is found is fitted to and judged on all samples."""
 
 import sys
 
@@ -7,9 +7,14 @@ import pytest
 from twins import SIGMAS, record, with_noise
 
 from hallsym.diagnosis import Diagnosis, diagnose
+from hallsym.families import build
 from hallsym.log import Log
+from hallsym.log.batches import batches
+from hallsym.log.derived import HALO, extended
+from hallsym.log.part import LENGTH, part_of
+from hallsym.model.derived import campaign_time, rate, run_time
 
-SAMPLES, EVERY = 400, 3
+SAMPLES, SHARE = 400, 3
 
 
 def bent(cubic: float) -> Log:
@@ -19,28 +24,56 @@ def bent(cubic: float) -> Log:
     return with_noise(columns | {"hall_a_m": columns["hall_a_m"] + cubic * x**3}, SIGMAS)
 
 
-def held(log: Log, rows: int, monkeypatch: pytest.MonkeyPatch) -> Diagnosis:
-    """Diagnose so many samples at most."""
-    monkeypatch.setattr(sys.modules["hallsym.diagnosis.setup"], "CACHED_ROWS", rows)
+def searched(log: Log, rows: int, monkeypatch: pytest.MonkeyPatch) -> Diagnosis:
+    """Diagnose with a search on so many samples at most."""
+    for module, name in (("diagnosis.residuals", "CACHED_ROWS"), ("diagnosis.residuals", "PART")):
+        monkeypatch.setattr(sys.modules[f"hallsym.{module}"], name, rows)
+    monkeypatch.setattr(sys.modules["hallsym.log.part"], "LENGTH", 60)
     return diagnose(log)
 
 
 @pytest.mark.slow
-def test_some_samples_say_what_all_samples_say(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_search_on_a_part_says_of_all_samples_what_a_whole_one_says(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     log = bent(1.5e-6)
-    whole, some = (held(log, rows, monkeypatch) for rows in (log.rows, log.rows // EVERY))
-    assert (some.verdict, some.ranked) == (whole.verdict, whole.ranked)
-    assert whole.ranked == ("odd_nonlinearity",)
-    assert some.significance is not None
-    assert whole.significance is not None
-    assert some.significance.units == whole.significance.units
-    assert any(f"every {EVERY}. sample" in note for note in some.notes)
-    assert not any("every" in note for note in whole.notes)
-    # an rms of n numbers is known to 1 / sqrt(2 n); three coordinates of the pose, of a fifth of the samples
-    error = 3 / np.sqrt(2 * 3 * log.rows / EVERY / 5)
-    assert abs(some.metric.before / whole.metric.before - 1) < error
-    assert abs(some.metric.after / whole.metric.after - 1) < error
-    (one,), (other,) = some.effects, whole.effects
+    whole, part = (searched(log, rows, monkeypatch) for rows in (log.rows, log.rows // SHARE))
+    assert part.ranked == whole.ranked == ("odd_nonlinearity",)
+    assert part.verdict == whole.verdict
+    assert any(f"of its {log.rows} samples" in note for note in part.notes)
+    assert not any("searched on" in note for note in whole.notes)
+    for name in ("before", "after", "floor"):
+        assert getattr(part.metric, name) == pytest.approx(getattr(whole.metric, name), rel=1e-4)
+    assert part.shrinkage.interval == pytest.approx(whole.shrinkage.interval, abs=2e-3)
+    (one,), (other,) = part.effects, whole.effects
     for name, estimate in one.parameters.items():
         known = other.parameters[name]
-        assert abs(estimate.value - known.value) < 3 * np.hypot(estimate.std, known.std)
+        assert abs(estimate.value - known.value) < 0.02 * known.std
+        assert estimate.std == pytest.approx(known.std, rel=0.02)
+
+
+def test_a_part_is_whole_stretches_whose_derived_columns_are_those_of_the_log() -> None:
+    rng, counts = np.random.default_rng(5), (9000, 200, 20_000, 700)
+    t = [100.0 * k + 1e-3 * np.arange(n) for k, n in enumerate(counts)]
+    columns = {"run": np.repeat(range(len(counts)), counts), "t_s": np.concatenate(t)}
+    log = Log.from_arrays(columns | {"x_ref_m": rng.standard_normal(sum(counts))})
+    part = part_of(log, 10_000, HALO)
+    made = (campaign_time(), run_time(), rate("x_ref_m", 2))
+    model, sigma = build("stage31").with_columns(*made), {"x_ref_m": 1.0}
+    names = ("t_s", "x_ref_m", *(c.name for c in made))
+    both = [
+        {c: np.concatenate([b.data[c] for b in batches(extended(of, model, sigma), names)]) for c in names}
+        for of in (log, part)
+    ]
+    at = np.searchsorted(both[0]["t_s"], both[1]["t_s"])
+    assert 0.8 < len(at) / 10_000 < 1.2
+    for name in names[:-1]:
+        np.testing.assert_array_equal(both[1][name], both[0][name][at])
+    # the window of a rate is chosen on the first stretch of a run; one that is as wide gives the same rate
+    same = np.abs(both[1][names[-1]] - both[0][names[-1]][at]) < 1e-6 * np.std(both[0][names[-1]])
+    assert same.mean() > 0.5
+    steps = np.diff(at)
+    assert (steps > 0).all()
+    assert (steps > 1).sum() < 1.2 * len(at) / min(LENGTH, *counts)  # the full rate, but between stretches
+    assert set(part.runs) <= set(log.runs)
+    assert {0, 2} <= set(part.runs)
