@@ -138,12 +138,13 @@ class Piece:
     data: dict[str, np.ndarray]
 
 
-def pieces(base: Base, runs: frozenset[int]) -> Iterator[Piece]:
+def pieces(base: Base, runs: frozenset[int], *, whole: bool = False) -> Iterator[Piece]:
     """Yield the whitened residual of some runs beside the quantities it may depend on.
 
-    Of a long log a bounded part of it (`Base.part`), which is cached for the next call with the same base.
+    Of a long log a bounded part of it (`Base.part`), unless the `whole` log is asked for. What is cached of a
+    log (`is_cached`) serves the next call with the same base.
     """
-    base = base.part
+    base = base if whole else base.part
     model, (log, columns) = base.model, _beside(base)
     known, evaluate = _kept(base, base.log.runs) if is_cached(base.log) else [], _residual_of(base)
     for k, batch in enumerate(batches(log, columns)):

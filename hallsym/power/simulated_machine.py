@@ -158,7 +158,7 @@ def machine_of(base: Base, floor_m: float, stated: Collection[str] | None = None
     columns = {c: base.log.array(c) for c in base.log.columns}
     columns["run"] = columns["run"].astype(int)
     if base.timed:  # the motion as it was, without the noise of the log
-        whole = list(pieces(base, frozenset(base.log.runs)))
+        whole = list(pieces(base, frozenset(base.log.runs), whole=True))
         for c in model.references:
             parts = [at_rest(piece.data[f"d0_{c}"], base.sigma.get(c, 0.0)) for piece in whole]
             columns[c] = np.concatenate(parts)
@@ -169,7 +169,7 @@ def machine_of(base: Base, floor_m: float, stated: Collection[str] | None = None
     recording = Recording(
         channels=model.channels,
         clean=readings_of(base, model, base.p),
-        speed=np.hstack([back @ piece.speed for piece in pieces(base, frozenset(base.log.runs))]),
+        speed=np.hstack([back @ piece.speed for piece in pieces(base, frozenset(base.log.runs), whole=True)]),
         run=columns["run"],
         step_s=float(np.median(np.diff(columns["t_s"]))),
         sigma=float(np.sqrt(np.diag(base.covariance).mean())),
