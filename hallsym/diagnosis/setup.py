@@ -57,10 +57,10 @@ class Setup:
     """The input of every stage of a diagnosis, which none changes.
 
     `log`: as it was fitted, with the channels as they were logged. `base`: the fit as the point where
-    tangents are taken, channels assigned. `holdout`: the runs that
-    judge. `threshold`: relative decrease of the gap metric that counts. `split`: whether the runs are pieces
-    of one recording. `say`: reports progress. `budget`: seconds within which the diagnosis ends, None:
-    without limit. `prepared`: when the preparation that `began` had ended.
+    tangents are taken, channels assigned. `holdout`: the runs that judge. `threshold`: relative decrease of
+    the gap metric that counts. `split`: whether the runs are pieces of one recording. `say`: reports
+    progress. `budget`: seconds within which the diagnosis ends, None: without limit. `prepared`: when the
+    preparation that `began` had ended.
     """
 
     log: Log
