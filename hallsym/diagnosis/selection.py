@@ -65,8 +65,9 @@ def refitted(
         known = screen.refits
         fits = [known.get(s.model) or refit(with_model(base, s.model), runs, least_cost) for s in starts]
         found = [Exact(s, fit, fit.bic(s.size)) for s, fit in zip(starts, fits, strict=True)]
-        possible = (e for e in found if e.score.effect.possible(e.fit.base.values))
-        best = min(possible, key=lambda e: e.bic, default=None)
+        possible = [e for e in found if e.score.effect.possible(e.fit.base.values)]
+        least_bic = min((e.bic for e in possible), default=np.inf)  # starts may end at one optimum
+        best = next((e for e in possible if e.bic <= least_bic + NIL * e.fit.readings), None)
         if best is not None and stands(best):
             out.append(best)
     return ordered(out, scored) if any(worth(e.score) for e in out) else []
