@@ -450,9 +450,10 @@ class Backend(ABC):
     def _fields(self) -> dict[str, Any]:
         """Return what templates of this arithmetic alone say.
 
-        Of all arithmetics: `real`, the C type of its numbers, and its `zero`; `left`, what is left of each
-        reading that is watched; `known` poses at which the self-test takes a zero, and `far`, by member,
-        values that are refused, the last one is not; `most`, the largest number.
+        Of all arithmetics: `real`, the C type of its numbers, its `zero`, its `one`, and `some_zero` that a
+        reset may set; `left`, what is left of each reading that is watched; `known` poses at which the
+        self-test takes a zero, and `far`, by member, values that are refused, the last one is not; `most`,
+        the largest number.
         """
 
     @abstractmethod
@@ -487,7 +488,7 @@ class Backend(ABC):
             "status_or_flags": " || ".join(f"status == {f'0x{v:08X}' if v else 0}" for v in sorted(raised)),
             "bounds": ", ".join(f"{error + REFERENCE:.3e}" for error in self.error_bound.values()),
             "notes": "\n".join(f"- {commented(note)}" for note in (*self.said, *notes)),
-            "slopes": [],
+            "slopes": [], "reciprocals": [], "tried": "range test, all bit patterns",
             **self._fields(),
         }  # fmt: skip
         made: dict[str, str | bytes] = {

@@ -201,6 +201,8 @@ class FloatBackend(Backend):
         return {
             "real": "float",
             "zero": "0.0f",
+            "one": "1.0f",
+            "some_zero": constant(2.0**-12),
             "by_size": "all" if all(by_size) else "some" if any(by_size) else "",
             "clamped": self.clamped(self._used(d.folded)),
             "body": statements(d.steps, names, results),

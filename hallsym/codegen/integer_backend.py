@@ -20,6 +20,8 @@ from hallsym.output import commented
 
 KNOWN = 1 << 29
 """Largest known pose, in units of its last bit, that a zero may be taken at."""
+SOME = 1 << 12
+"""A small zero or pose, in the same units."""
 SHIFTS = "misra-c2012-10.1:decoupler.c"
 """Deviation: numbers with a sign are shifted right."""
 FRAGMENTS = "q31/fragments/"
@@ -201,7 +203,7 @@ class IntegerBackend(Backend):
     def _own(self, port: Port, given: bool) -> dict[str, Any]:
         p, c = self.program, port.column
         if not given:
-            return {"line": p.outputs[c][0], "at_known": _integer(4096, c in p.angles)}
+            return {"line": p.outputs[c][0], "hashed": _integer(SOME, c in p.angles)}
         if c in p.angles:
             return {"interval": "Frama_C_unsigned_int_interval(0U, 0xFFFFFFFFU)"}
         sides = map(backend.of_params, ends(self.decoupler, c))
@@ -231,12 +233,14 @@ class IntegerBackend(Backend):
         known = [f"(pose->{identifier(c)} >= -{KNOWN}) && (pose->{identifier(c)} <= {KNOWN})" for c in d.pose]
         angles = [port.column in p.angles for port in self.outputs]
         tried = [[0x7FFFFFFF if angle else KNOWN for angle in angles]]
-        tried += [[0x80000001 if angle else -KNOWN for angle in angles], [4096] * len(angles)]
+        tried += [[0x80000001 if angle else -KNOWN for angle in angles], [SOME] * len(angles)]
         steps = [line.i for line in p.lines if line.operation == "angle"]
         used = {name for line in p.lines for name in (line.a, line.b)}
         return {
             "real": "int32_t",
             "zero": "0",
+            "one": "1",
+            "some_zero": str(SOME),
             "scaled": scales,
             "largest": LARGEST,
             "clamped": self.clamped([c for c in d.inputs if c in p.angles or short(c) in used]),
@@ -296,13 +300,10 @@ class IntegerBackend(Backend):
             most = ceil((high_value + error) * 2.0**e) + room
             eva.append(f"const int32_t out_{short(c)} = {name};")
             eva.append(f"//@ assert {short(c)}_bounded: {least} <= out_{short(c)} <= {most};")
-        alone = "range test, all bit patterns"
-        read = "every angle, through all of the code" if self.reads_angle else alone
-        tried = f"{alone}, and reciprocals, all divisors"
         return {
             "turned": max((int(abs(a.values).max()) << a.shift for a in p.arrays.values()), default=0),
             "reciprocals": reciprocals,
-            "tried": read if p.angles else tried if p.reciprocals else alone,
+            **({"tried": "every angle, through all of the code"} if self.reads_angle else {}),
             "eva_lines": [line for line in eva if line],
         }
 

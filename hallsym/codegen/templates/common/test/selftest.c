@@ -1,8 +1,9 @@
+{% set float = b.type == "float" %}
 /* SPDX-License-Identifier: {{ license }} */
 /* {{ generated }}; do not edit: generate again from the calibration. */
 #include "selftest.h"
 
-{% if d.flags %}
+{% if d.flags and float %}
 #include <float.h>
 {% endif %}
 #include <string.h>
@@ -22,8 +23,10 @@ typedef struct
 
 #include "selftest_vectors.h"
 
+{% if float %}
 {% include "float/fragments/ieee.c" %}
 
+{% endif %}
 static uint32_t mix(uint32_t x)
 {
     x ^= x >> 16U;
@@ -33,6 +36,7 @@ static uint32_t mix(uint32_t x)
     return x ^ (x >> 16U);
 }
 
+{% if float %}
 static uint32_t word(float value)
 {
     uint32_t bits = 0U;
@@ -63,13 +67,23 @@ static float input(uint32_t n, uint32_t k, float low, float high)
     return value;
 }
 
+{% else %}
+/* Any integers, three quarters of them shifted towards the box. */
+static int32_t input(uint32_t n, uint32_t k)
+{
+    const int32_t raw = (int32_t)mix((n * {{ inputs | length }}U) + k);
+    return raw >> (mix(n) & 3U);
+}
+
+{% endif %}
 static void sample(uint32_t n, decoupler_in_t *in)
 {
 {% for i in inputs %}
-    in->{{ i.member }} = input(n, {{ i.number }}U, {{ i.least }}, {{ i.greatest }});
+    in->{{ i.member }} = {{ i.cast }}input(n, {{ i.number }}U{{ ", %s, %s" % (i.least, i.greatest) if float }});
 {% endfor %}
 }
 
+{% if float %}
 /* Half of the samples have no zeros, a quarter each those of a reset at one end and at the other. */
 static void take(uint32_t n, decoupler_params_t *table)
 {
@@ -79,6 +93,7 @@ static void take(uint32_t n, decoupler_params_t *table)
 {% endfor %}
 }
 
+{% endif %}
 uint32_t decoupler_hash(uint32_t count)
 {
     decoupler_params_t table = decoupler_params;
@@ -88,10 +103,12 @@ uint32_t decoupler_hash(uint32_t count)
         decoupler_in_t in;
         decoupler_out_t out;
         sample(n, &in);
+{% if float %}
         take(n, &table);
+{% endif %}
         total += mix(decoupler_step(&table, &in, &out) ^ mix(n * {{ b.width }}U));
 {% for o in outputs %}
-        total += mix(word(out.{{ o.member }}) ^ mix((n * {{ b.width }}U) + {{ o.number }}U));
+        total += mix({{ "word" if float else "(uint32_t)" }}(out.{{ o.member }}) ^ mix((n * {{ b.width }}U) + {{ o.number }}U));
 {% endfor %}
 {% if d.suspects %}
         total += mix(out.suspect ^ mix((n * {{ b.width }}U) + {{ b.width - 1 }}U));
@@ -100,7 +117,7 @@ uint32_t decoupler_hash(uint32_t count)
     return total;
 }
 
-static uint32_t differs(float value, double wanted, double bound, double *worst)
+static uint32_t differs({{ b.type if float else "double" }} value, double wanted, double bound, double *worst)
 {
     const double error = ((double)value > wanted) ? ((double)value - wanted) : (wanted - (double)value);
     if (error > *worst)
@@ -125,7 +142,7 @@ decoupler_selftest_t decoupler_selftest(void)
 {% endif %}
         uint32_t failed = (decoupler_step(&decoupler_params, &wanted->in, &out) == wanted->status) ? 0U : 1U;
 {% for o in outputs %}
-        failed |= differs(out.{{ o.member }}, wanted->pose[{{ o.index }}], decoupler_bounds[{{ o.index }}], &result.worst);
+        failed |= differs({{ "out.%s" % o.member if float else "(double)out.%s * %s" % (o.member, o.scale) }}, wanted->pose[{{ o.index }}], decoupler_bounds[{{ o.index }}], &result.worst);
 {% endfor %}
 {% if d.flags %}
         failed |= (decoupler_step(&strict, &wanted->in, &out) == ({{ "(wanted->status & ~DECOUPLER_STATUS_DEGRADED)" if d.mends else "wanted->status" }} | {{ d.flags | map(attribute="name") | map("status_bit") | join(" | ") }})) ? 0U : 1U;
@@ -142,6 +159,7 @@ decoupler_selftest_t decoupler_selftest(void)
     return result;
 }
 
+{% if float %}
 /* 0 if a value is the wanted one, or one period from it. */
 static uint32_t away(float value, float wanted, float period)
 {
@@ -150,8 +168,9 @@ static uint32_t away(float value, float wanted, float period)
     return ((error < {{ near }}) || (other < {{ near }})) ? 0U : 1U;
 }
 
+{% endif %}
 /* 0 if a zero is taken at each pose of a few, after another one, and the pose is the known one then. */
-static uint32_t not_taken(const decoupler_in_t *in, float before)
+static uint32_t not_taken(const decoupler_in_t *in, {{ real }} before)
 {
     static const decoupler_out_t known[{{ known | length }}] = {
 {% for row in known %}
@@ -161,7 +180,7 @@ static uint32_t not_taken(const decoupler_in_t *in, float before)
     decoupler_params_t table = decoupler_params;
     uint32_t bad = 0U;
 {% for o in outputs %}
-    table.{{ o.zero }} = before * {{ o.hashed }};
+    table.{{ o.zero }} = {{ o.cast }}before * {{ o.hashed }};
 {% endfor %}
     for (uint32_t k = 0U; k < {{ known | length }}U; k++)
     {
@@ -170,7 +189,7 @@ static uint32_t not_taken(const decoupler_in_t *in, float before)
         bad |= (decoupler_step(&table, in, &out) == 0U) ? 0U : 1U;
         bad |= (decoupler_check(&table) == 0U) ? 0U : 1U;
 {% for o in outputs %}
-        bad |= away(out.{{ o.member }}, known[k].{{ o.member }}, {{ o.period }});
+        bad |= {{ "away(out.%s, known[k].%s, %s)" % (o.member, o.member, o.period) if float else "(out.%s == known[k].%s) ? 0U : 1U" % (o.member, o.member) }};
 {% endfor %}
     }
     return bad;
@@ -181,7 +200,7 @@ static uint32_t not_refused(const decoupler_in_t *in, const decoupler_out_t *pos
 {
     decoupler_params_t table = decoupler_params;
 {% for o in outputs %}
-    table.{{ o.zero }} = 0.000244140625f;
+    table.{{ o.zero }} = {{ some_zero }};
 {% endfor %}
     const decoupler_params_t before = table;
     uint32_t bad = (decoupler_zero(&table, in, pose) == status) ? 0U : 1U;
@@ -198,7 +217,7 @@ uint32_t decoupler_missed_zeros(void)
         decoupler_out_t pose = {0};
         if (decoupler_vectors[k].status == 0U)
         {
-            bad += not_taken(in, 1.0f) + not_taken(in, -1.0f);
+            bad += not_taken(in, {{ one }}) + not_taken(in, -{{ one }});
 {% for member, values in far.items() %}
 {% for value in values %}
             pose.{{ member }} = {{ value }};
