@@ -1,27 +1,37 @@
 """What can be said of the arithmetic over the whole box: least gains, size of the pose, rounding."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import prod
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.decoupler import FAULT, Bits, Decoupler, Lookup, Step, Whole, needed, run_step, short
+from hallsym.codegen.decoupler import (
+    FAULT,
+    Bits,
+    Decoupler,
+    Flag,
+    Lookup,
+    Step,
+    Whole,
+    needed,
+    run_step,
+    short,
+)
 from hallsym.codegen.intervals import (
     EXACT,
     ROUNDOFF,
     TINY,
     Enclosure,
     Outcomes,
-    constant,
     enclose,
-    enclosures,
     hull,
     outcomes,
 )
 from hallsym.codegen.operations import BRANCHES, Graph, chosen
+from hallsym.records import named
 
 LEAST_GAIN = 0.1
 """Share of its gain at rest below which a probe must not fall within the box."""
@@ -41,23 +51,17 @@ class Bounds:
 
 def pose_bounds(d: Decoupler) -> Bounds:
     """Return the bounds of one table, by interval arithmetic on the printed expressions."""
-    if d.sampled:
-        found = pose_by_pose(d)
-    elif d.at_pose:  # its range as an analysis of the C sees it
-        given = given_of(d).items()
-        known = {name: Enclosure(e.low - e.error, e.high + e.error) for name, e in given}
+    low, high, error = pose_by_pose(d) if d.sampled else _by_cells(d)
+    if d.at_pose or straight(d.steps):  # the range as an analysis of the C sees it
+        known = given_of(d)[0]
         for step in d.steps:
             enclosed_step(step, known)
-        every = zip((known[step.name] for step in d.steps[-len(d.pose) :]), _by_cells(d), strict=True)
-        found = [replace(e, error=own.error) for e, own in every]
-    elif straight(d.steps):
-        found = enclosed(d, d.steps)[-len(d.pose) :]
-    else:
-        found = _by_cells(d)
-    low, high, error = (
-        {c: getattr(e, side) for c, e in zip(d.pose, found, strict=True)} for side in ("low", "high", "error")
-    )
-    return Bounds(low, high, error)
+        low, high = np.array([[float(known[s.name].low), float(known[s.name].high)] for s in _last(d)]).T
+    return Bounds(*(named(d.pose, side) for side in (low, high, error)))
+
+
+def _last(d: Decoupler) -> Sequence[Step]:
+    return d.steps[-len(d.pose) :]
 
 
 def least_gains(d: Decoupler) -> dict[str, float]:
@@ -83,19 +87,6 @@ FOLDED = 16
 Entries are sums of a few products of the inverse of a well-conditioned matrix; the largest seen is 4."""
 
 
-def enclosed(d: Decoupler, steps: Sequence[Step]) -> list[Enclosure]:
-    """Return the enclosure of each step over the box; errors count those of the table."""
-    known = given_of(d)
-    for step in steps:
-        rounded_step(step, known)
-    return [known[step.name] for step in steps]
-
-
-def rounded_step(step: Step, known: dict[str, Enclosure]) -> None:
-    """Add the enclosure of a step and its rounding to those by symbol."""
-    known[step.name] = enclosures(step.graph, known, rounds=True)[step.graph.results[0]]
-
-
 def enclosed_step(step: Step, known: dict[str, Enclosure]) -> Outcomes:
     """Add the range of a step to those by symbol; returns those of its operations."""
     every = [] if isinstance(step, Lookup) else outcomes(step.graph, known)
@@ -117,14 +108,21 @@ def _range_of(step: Step, known: Mapping[str, Enclosure], every: Outcomes) -> En
     return Enclosure(np.maximum(found.low, -end.high), np.minimum(found.high, end.high))
 
 
-def given_of(d: Decoupler) -> dict[str, Enclosure]:
-    """Return the enclosures of inputs, over the box, and of entries, rounded as they are made and stored."""
-    found = {d.symbols[c].name(): Enclosure(*(float(np.float32(v)) for v in d.ends(c))) for c in d.inputs}
+def stored_error(value: float) -> float:
+    """Return by how much a number differs from the float32 one in its place."""
+    return abs(value - float(np.float32(value)))
+
+
+def given_of(d: Decoupler) -> tuple[dict[str, Enclosure], dict[str, float]]:
+    """Return the ranges of inputs, over the box, and of entries, and what entries are off by as they are made
+    and stored; both by symbol."""
+    ranges = {d.symbols[c].name(): Enclosure(*(float(np.float32(v)) for v in d.ends(c))) for c in d.inputs}
+    errors = {}
     for e in (*d.table, *d.offsets):
-        error = constant(e.value).error + FOLDED * 2.0**-53 * abs(e.value) * (e.holds != "value")
-        found[d.symbols[e.name].name()] = Enclosure(e.value, e.value, error)
-    found |= {a.name: Enclosure(min(a.values), max(a.values)) for a in d.arrays}
-    return found
+        name, made = d.symbols[e.name].name(), FOLDED * 2.0**-53 * abs(e.value) * (e.holds != "value")
+        errors[name] = error = stored_error(e.value) + made
+        ranges[name] = Enclosure(e.value - error, e.value + error)
+    return ranges | {a.name: Enclosure(min(a.values), max(a.values)) for a in d.arrays}, errors
 
 
 CELLS = 512
@@ -135,16 +133,54 @@ ROUNDS = 8
 """Times that the worst of them are cut in half along each side."""
 
 
-def _by_cells(d: Decoupler) -> list[Enclosure]:
-    """Return range and rounding of the pose over all cells that what most steps start from is cut into.
+def rounded(
+    steps: Sequence[Step],
+    results: Sequence[str],
+    ranges: Mapping[str, Enclosure],
+    errors: Mapping[str, float],
+    flags: Sequence[Flag] = (),
+) -> np.ndarray:
+    """Return less the least value, the greatest one and the rounding error of results, (3 results, s).
 
-    Proved: what operations round, each times the slope of the pose by it, enclosed over all values of a cell,
-    rounded ones too (mean value theorem). Slopes have signs, so terms of an expanded polynomial cancel as
-    they do in its value. Cells in which a flag is set wherever the inputs are say nothing.
+    `ranges`, `errors`: by symbol, numbers or those of s cells. Proved: what operations round, each times the
+    slope of the result by it, enclosed over all values of a cell, rounded ones too (mean value theorem).
+    Slopes have signs, so terms of an expanded polynomial cancel as they do in its value. NaN in cells
+    in which a flag is set wherever the inputs are: they say nothing.
     """
+    count = max((np.size(e.low) for e in ranges.values()), default=1)
+    known, cell, worked = dict(ranges), np.arange(count), list[list[Enclosure]]()
+    for step in steps:
+        every = [] if isinstance(step, Lookup) else outcomes(step.graph, known, ROUNDOFF)
+        some = [np.flatnonzero(np.broadcast_to(possible, cell.shape)) for possible, _ in every]
+        if len(every) > 1 and sum(map(len, some)) > WAYS * count:
+            every = [(True, [hull([(v, own[k]) for v, own in every]) for k in range(len(every[0][1]))])]
+        elif len(every) > 1:  # each way that comparisons come out is a cell of its own
+            take, pairs = np.concatenate(some), list(zip(every, some, strict=True))
+            parts = [[_of_cells(e, own) for e in values] for (_, values), own in pairs]
+            every = [(True, [_joined(es, some) for es in zip(*parts, strict=True)])]
+            known = {name: _of_cells(e, take) for name, e in known.items()}
+            worked, cell = [[_of_cells(e, take) for e in values] for values in worked], cell[take]
+        known[step.name] = _range_of(step, known, every)
+        worked.append(every[0][1] if every else [])
+    clear = np.ones(len(cell), bool)
+    for flag in flags:
+        clear &= known[flag.step].high >= known[flag.least].low
+    with np.errstate(all="ignore"):  # what grows without end is bounded by nothing
+        off = [_rounded(step.graph, values) for step, values in zip(steps, worked, strict=True)]
+        if len(cell) > count:  # what is computed may go another way than what is exact
+            off = [[_most_of(v, cell, count)[cell] for v in own] for own in off]
+        found = [np.where(clear, e, -np.inf) for e in _errors(steps, worked, off, errors, results)]
+    rows = (*(-known[n].low for n in results), *(known[n].high for n in results), *found)
+    out = np.array([_most_of(v, cell, count) for v in rows])
+    return np.where(np.isneginf(out), np.nan, out)
+
+
+def _by_cells(d: Decoupler) -> tuple[np.ndarray, ...]:
+    """Return range and rounding of the pose over all cells that what most steps start from is cut into."""
     flags = [flag for flag in d.flags if flag.name != FAULT]
-    every = needed(d.steps, [*(step.name for step in d.steps[-len(d.pose) :]), *(f.step for f in flags)])
-    given = given_of(d)
+    pose = [step.name for step in _last(d)]
+    every = needed(d.steps, [*pose, *(f.step for f in flags)])
+    ranges, errors = given_of(d)
     varies = {step.name for step in every} | {d.symbols[c].name() for c in d.inputs}
     crossing: list[set[str]] = [set()]
     for step in reversed(every):  # what the steps from this one on read of what is before them
@@ -153,58 +189,27 @@ def _by_cells(d: Decoupler) -> list[Enclosure]:
     crossing = crossing[len(d.pose) :][::-1]
     seen = [k for k, step in enumerate(every) if step.name in {flag.step for flag in flags}]
     first = min(range(min(seen, default=len(crossing))), key=lambda k: len(crossing[k]))
-    for step in every[:first]:
-        rounded_step(step, given)
     steps, names = every[first:], sorted(crossing[first])
-    before = {name: float(e.error) for name, e in given.items()}
-    wide = {name: Enclosure(e.low - e.error, e.high + e.error) for name, e in given.items()}
+    least, most, error = np.split(rounded(every[:first], names, ranges, errors)[:, 0], 3)
+    errors |= named(names, error)
 
     def bounded(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """Less the least value, the greatest one and the error (3 n_pose, s) in cells; NaN where there is no
-        pose."""
-        cells, count = zip(names, low, high, strict=True), low.shape[1]
-        known = wide | {n: Enclosure(least - before[n], most + before[n]) for n, least, most in cells}
-        cell, worked = np.arange(count), list[list[Enclosure]]()
-        for step in steps:
-            every = [] if isinstance(step, Lookup) else outcomes(step.graph, known, ROUNDOFF)
-            some = [np.flatnonzero(np.broadcast_to(possible, cell.shape)) for possible, _ in every]
-            if len(every) > 1 and sum(map(len, some)) > WAYS * count:
-                every = [(True, [hull([(v, own[k]) for v, own in every]) for k in range(len(every[0][1]))])]
-            elif len(every) > 1:  # each way that comparisons come out is a cell of its own
-                take, pairs = np.concatenate(some), list(zip(every, some, strict=True))
-                parts = [[_of_cells(e, own) for e in values] for (_, values), own in pairs]
-                every = [(True, [_joined(es, some) for es in zip(*parts, strict=True)])]
-                known = {name: _of_cells(e, take) for name, e in known.items()}
-                worked, cell = [[_of_cells(e, take) for e in values] for values in worked], cell[take]
-            known[step.name] = _range_of(step, known, every)
-            worked.append(every[0][1] if every else [])
-        clear = np.ones(len(cell), bool)
-        for flag in flags:
-            clear &= known[flag.step].high >= known[flag.least].low
-        ends = [known[step.name] for step in steps[-len(d.pose) :]]
-        with np.errstate(all="ignore"):  # what grows without end is bounded by nothing
-            off = [_rounded(step.graph, values) for step, values in zip(steps, worked, strict=True)]
-            if len(cell) > count:  # what is computed may go another way than what is exact
-                off = [[_most_of(v, cell, count)[cell] for v in own] for own in off]
-            errors = _errors(steps, worked, off, before, len(d.pose))
-            errors = [np.where(clear, e, -np.inf) for e in errors]
-        rows = (*(-e.low for e in ends), *(e.high for e in ends), *errors)
-        found = np.array([_most_of(v, cell, count) for v in rows])
-        return np.where(np.isneginf(found), np.nan, found)
+        return rounded(
+            steps, pose, ranges | dict(zip(names, map(Enclosure, low, high), strict=True)), errors, flags
+        )
 
-    ends = np.array([[float(given[n].low), float(given[n].high)] for n in names]).reshape(-1, 2)
-    low, high = _cut(ends[:, :1], ends[:, 1:], max(2, int(CELLS ** (1 / len(names)) + 1e-9)))
+    parts = max(2, int(CELLS ** (1 / len(names)) + 1e-9))
+    low, high = _cut(-least[:, None], most[:, None], parts)
     found, n = bounded(low, high), 2 * len(d.pose)
     for _ in range(ROUNDS):
         usual = np.nanmedian(found[n:], axis=1, keepdims=True)
         order = np.argsort(np.nan_to_num((found[n:] / usual).max(axis=0), nan=0.0))
         kept, worst = np.split(order, [-max(1, CELLS >> len(names))])
-        parts = _cut(low[:, worst], high[:, worst], 2)
-        low, high = (np.hstack([a[:, kept], b]) for a, b in zip((low, high), parts, strict=True))
-        found = np.hstack([found[:, kept], bounded(*parts)])
-    least, most, error = np.split(found, 3)
-    sides = (-np.nanmax(least, axis=1), np.nanmax(most, axis=1), np.nanmax(error, axis=1))
-    return [Enclosure(*map(float, e)) for e in zip(*sides, strict=True)]
+        finer = _cut(low[:, worst], high[:, worst], 2)
+        low, high = (np.hstack([a[:, kept], b]) for a, b in zip((low, high), finer, strict=True))
+        found = np.hstack([found[:, kept], bounded(*finer)])
+    less, most, error = np.split(np.nanmax(found, axis=1), 3)
+    return -less, most, error
 
 
 def _of_cells(e: Enclosure, some: np.ndarray) -> Enclosure:
@@ -244,25 +249,23 @@ ROOM = 1.5
 """Times the largest bound of these poses."""
 
 
-def pose_by_pose(d: Decoupler) -> list[Enclosure]:
-    """Return range and rounding of each coordinate, flags clear, offsets at zero.
+def pose_by_pose(d: Decoupler) -> tuple[np.ndarray, ...]:
+    """Return range and rounding (n_pose,) of each coordinate, flags clear, offsets at zero.
 
     Rounding is bounded for each of many poses of the box, and the largest bound is taken with some room.
     """
     assert d.drawn is not None  # of every decoder that claims nothing of readings of no pose
     inputs = d.drawn(np.random.default_rng(6), BOUNDED)
-    named = dict(zip(map(short, d.inputs), inputs, strict=True))
-    stored = {e.name: float(constant(e.value).error) for e in d.entries}
-    known: Numbers = {**named, **{e.name: e.value for e in d.entries}}
+    known: Numbers = dict(zip(map(short, d.inputs), inputs, strict=True)) | {
+        e.name: e.value for e in d.entries
+    }
+    stored, pose = {e.name: stored_error(e.value) for e in d.entries}, [step.name for step in _last(d)]
     with np.errstate(all="ignore"):
         worked = [run_step(step, known) for step in d.steps]
         off = [_rounded(step.graph, values) for step, values in zip(d.steps, worked, strict=True)]
-        errors = _errors(d.steps, worked, off, stored, len(d.pose))
-    values = [known[step.name] for step in d.steps[-len(d.pose) :]]
-    return [
-        Enclosure(float(np.min(v)), float(np.max(v)), ROOM * float(np.max(e)))
-        for v, e in zip(values, errors, strict=True)
-    ]
+        errors = _errors(d.steps, worked, off, stored, pose)
+    values = np.array([known[name] for name in pose])
+    return values.min(axis=1), values.max(axis=1), ROOM * np.array([np.max(e) for e in errors])
 
 
 Numbers = dict[str, Any]
@@ -305,16 +308,16 @@ def _errors(
     worked: Sequence[list[Any]],
     off: Sequence[list[Any]],
     before: Mapping[str, float],
-    last: int,
+    results: Sequence[str],
 ) -> list[Any]:
-    """Return the rounding errors of the last steps.
+    """Return the rounding errors of results, by the names of their symbols.
 
     `worked`: the values of each step's operations, numbers (s,) or enclosures of s cells; `off`: what each
     rounds; `before`: what symbols are off by that no step makes.
     """
     errors = []
-    for step in steps[-last:]:
-        adjoint: Numbers = {step.name: 1.0}
+    for result in results:
+        adjoint: Numbers = {result: 1.0}
         total: Any = 0.0
         for one, values, own in zip(reversed(steps), reversed(worked), reversed(off), strict=True):
             if one.name in adjoint and not isinstance(one, Whole | Bits | Lookup):
@@ -365,7 +368,7 @@ def _rounded(own: Graph, values: list[Any]) -> list[Any]:
     for o, z, count in zip(own.operations[: len(values)], values, counts, strict=True):
         off: Any = 0.0
         if o.op == "const":
-            off = constant(o.value).error
+            off = stored_error(o.value)
         elif o.op not in ("input", *EXACT) and not chosen(o, own.operations):
             off = _half_unit(abs(z)) + TINY
             if o.op in ("add", "sub"):

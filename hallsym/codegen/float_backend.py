@@ -12,7 +12,7 @@ import numpy as np
 
 from hallsym.codegen import accepted, backend, residual
 from hallsym.codegen.backend import VERSION, Backend, Port, Stored
-from hallsym.codegen.bounds import Bounds, enclosed, least_gains, pose_bounds
+from hallsym.codegen.bounds import Bounds, given_of, least_gains, pose_bounds, rounded
 from hallsym.codegen.cost import firmware_cost
 from hallsym.codegen.decoupler import ROOT, Array, Entry, short, steps_on_arrays, unit
 from hallsym.codegen.float_c import constant, shared_steps, statements
@@ -244,10 +244,8 @@ class FloatBackend(Backend):
         stored = {f"result_{k}": f"slopes->{name}" for k, name in enumerate(self.slopes)}
         pairs = zip(self.slopes, product(d.pose, d.model.channels), strict=True)
         # the reference is computed in double and written with 13 digits
-        limits = [
-            e.error + 1e-12 * np.abs(row).max()
-            for e, row in zip(enclosed(d, steps)[-len(self.slopes) :], values, strict=True)
-        ]
+        errors = np.split(rounded(steps, list(stored), *given_of(d))[:, 0], 3)[2]
+        limits = [e + 1e-12 * np.abs(row).max() for e, row in zip(errors, values, strict=True)]
         return {
             "slopes": [
                 {"name": name, "index": k, "unit": f"{unit(c)}/{unit(m)}", "of": commented(c),

@@ -66,7 +66,7 @@ def _text(step: Step, names: Mapping[str, str]) -> tuple[list[str], str]:
         text.append("({} ? {} : {})".format(*parts) if choice else _operation(o.op, parts))
         if o.op in (*TESTS, "not"):
             continue
-        if uses[k] > 1 or (o.op in ("sq", "sign") and "(" in text[o.args[0]]):
+        if uses[k] > 1 or (o.op == "sq" and "(" in text[o.args[0]]):
             name = f"{step.name}_t{len(before)}"
             before.append(f"const float {name} = {_bare(text[k])};")
             text[k] = name
@@ -81,7 +81,6 @@ _TEXTS = {
     "sq": "({0} * {0})",
     "twice": "({0} + {0})",
     "inv": "(1.0f / {})",
-    "sign": "(({0} > 0.0f) ? 1.0f : (({0} < 0.0f) ? -1.0f : 0.0f))",
     "if_else_zero": "({} ? {} : 0.0f)",
     "fabs": "MAGNITUDE({})",
 }  # fmt: skip

@@ -1,9 +1,7 @@
-"""Ranges and rounding errors of an SX graph by interval arithmetic, on many intervals at once.
+"""Ranges of an SX graph by interval arithmetic, on many intervals at once.
 
-Each operation gets an enclosure of its exact value, rounded outwards, and, for arithmetic in float32, a bound
-of |computed - exact|. One rounding to nearest adds at most u |z| (u = 2^-24), and the smallest subnormal
-where a result underflows (IEEE 754). A comparison that an interval does not decide is
-either, so the derivative of `fmin` at its kink is the hull of both sides.
+Each operation gets an enclosure of its exact value, rounded outwards. A comparison that an interval does not
+decide is either, so the derivative of `fmin` at its kink is the hull of both sides.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +17,8 @@ from hallsym.codegen.operations import TESTS, Graph, Operation, graph
 from hallsym.errors import InputError
 
 ROUNDOFF, TINY = 2.0**-24, 2.0**-149
-"""Of float32: largest relative error of one rounding to nearest, and the smallest subnormal number."""
+"""Of float32: largest relative error of one rounding to nearest, and the smallest subnormal number, which is
+added where a result underflows (IEEE 754)."""
 ULPS = 8 * np.finfo(float).eps
 """Relative widening of each end after an operation, more than any of numpy's functions is off by."""
 
@@ -30,20 +29,17 @@ Range = tuple[Numbers, Numbers]
 
 @dataclass(frozen=True, eq=False)
 class Enclosure:
-    """Exact value within [low, high]; the computed one differs by at most `error`."""
+    """A value within [low, high]."""
 
     low: Numbers
     high: Numbers
-    error: Numbers = 0.0
 
     __array_ufunc__ = None  # arrays leave it to the arithmetic below
 
     @property
     def most(self) -> Numbers:
-        """Largest magnitude that the computed value can have."""
-        return np.maximum(np.abs(self.low), np.abs(self.high)) + self.error
-
-    # -- arithmetic of ranges alone
+        """Largest magnitude."""
+        return np.maximum(np.abs(self.low), np.abs(self.high))
 
     def __abs__(self) -> Numbers:
         """Return the largest magnitude."""
@@ -76,26 +72,18 @@ def _ranged(value: "Enclosure | float") -> Enclosure:
     return value if isinstance(value, Enclosure) else Enclosure(value, value)
 
 
-def constant(value: float) -> Enclosure:
-    """Return the enclosure of a number as it is stored in float32."""
-    return Enclosure(value, value, abs(value - float(np.float32(value))))
-
-
-def enclose(
-    expressions: Sequence[ca.SX], inputs: Mapping[str, Enclosure], rounds: bool = False
-) -> list[Enclosure]:
+def enclose(expressions: Sequence[ca.SX], inputs: Mapping[str, Enclosure]) -> list[Enclosure]:
     """Return the enclosure of each scalar expression over enclosures of its symbols, by name.
 
-    `rounds`: with the errors of operations in float32, those of the inputs included; otherwise of the exact
-    value alone, of functions such as sine too. Raises `InputError` for an operation that has no range here.
+    Raises `InputError` for an operation that has no range here.
     """
     found = graph(expressions)
-    made = enclosures(found, inputs, rounds)
+    made = enclosures(found, inputs)
     return [made[k] for k in found.results]
 
 
 def enclosures(
-    found: Graph, inputs: Mapping[str, Enclosure], rounds: bool = False, room: float = 0.0,
+    found: Graph, inputs: Mapping[str, Enclosure], room: float = 0.0,
     decided: Mapping[int, Enclosure] | None = None,
 ) -> list[Enclosure]:  # fmt: skip
     """Return the enclosure of each operation of a graph; see `enclose`.
@@ -111,11 +99,11 @@ def enclosures(
             elif operation.op == "input":
                 made.append(inputs[operation.symbol])
             elif operation.op == "const":
-                made.append(constant(operation.value) if rounds else _ranged(operation.value))
+                made.append(_ranged(operation.value))
             elif other := _other(operation, found.operations):
                 made.append(Enclosure(*_share(made[operation.args[0]], made[other])))
             else:
-                made.append(_enclosed(operation.op, [made[k] for k in operation.args], rounds, room))
+                made.append(_enclosed(operation.op, [made[k] for k in operation.args], room))
     return made
 
 
@@ -147,7 +135,7 @@ def outcomes(found: Graph, inputs: Mapping[str, Enclosure], room: float = 0.0) -
         possible: Any = np.True_
         decided = {k: Enclosure(np.float64(v), np.float64(v)) for k, v in zip(tests, outcome, strict=True)}
         for _ in range(NARROWED if tests else 0):
-            made = enclosures(found, given, False, room, decided)
+            made = enclosures(found, given, room, decided)
             for k, holds in zip(tests, outcome, strict=True):
                 x, y = found.operations[k].args[:: 1 if holds else -1]
                 made[x], made[y] = _meet(made[x], high=made[y].high), _meet(made[y], low=made[x].low)
@@ -160,7 +148,7 @@ def outcomes(found: Graph, inputs: Mapping[str, Enclosure], room: float = 0.0) -
                 possible = possible & ~np.asarray(e.low > e.high)
                 if o.op == "input":
                     given[o.symbol] = e
-        out.append((possible, enclosures(found, given, False, room, decided)))
+        out.append((possible, enclosures(found, given, room, decided)))
     return out
 
 
@@ -177,21 +165,15 @@ def hull(some: Sequence[tuple[Any, Any]]) -> Any:
     return Enclosure(_hull(*low)[0], _hull(*high)[1])
 
 
-def _enclosed(op: str, args: list[Enclosure], rounds: bool = False, room: float = 0.0) -> Enclosure:
-    if op not in _RANGES or (rounds and op not in _ERRORS):
+def _enclosed(op: str, args: list[Enclosure], room: float = 0.0) -> Enclosure:
+    if op not in _RANGES:
         raise InputError(f"Operation {op} of the model has no C without libm.")
     low, high = _RANGES[op](*args)
     if op not in EXACT:
         unknown = np.isnan(low) | np.isnan(high)
         low = np.where(unknown, -np.inf, low - ((ULPS + room) * np.abs(low) + 1e-300))
         high = np.where(unknown, np.inf, high + ((ULPS + room) * np.abs(high) + 1e-300))
-    if not rounds:
-        return Enclosure(low, high)
-    error = _ERRORS[op](*args)
-    if op not in EXACT:
-        most = np.maximum(np.abs(low), np.abs(high)) + error
-        error = np.where(np.isfinite(most), error + most * ROUNDOFF + TINY, np.inf)
-    return Enclosure(low, high, error)
+    return Enclosure(low, high)
 
 
 # -- ranges ------------------------------------------------------------------------------------------------
@@ -211,10 +193,8 @@ def _product(x: Enclosure, y: Enclosure) -> Range:
 
 
 def _inverse(x: Enclosure) -> Range:
-    """1 / x, for the computed divisor too."""
-    across = (x.low - x.error <= 0) & (x.high + x.error >= 0)
     low, high = np.asarray(x.low, dtype=float), np.asarray(x.high, dtype=float)
-    return np.where(across, -np.inf, 1 / high), np.where(across, np.inf, 1 / low)
+    return np.where(_across(x), -np.inf, 1 / high), np.where(_across(x), np.inf, 1 / low)
 
 
 def _quotient(x: Enclosure, y: Enclosure) -> Range:
@@ -269,20 +249,8 @@ def _power(x: Enclosure, n: Enclosure) -> Range:
     return low**exponent, high**exponent
 
 
-def _less(x: Enclosure, y: Enclosure, or_equal: bool) -> Range:
-    room = x.error + y.error
-    sure = x.high + room <= y.low if or_equal else x.high + room < y.low
-    never = x.low - room > y.high if or_equal else x.low - room >= y.high
-    return np.where(sure, 1.0, 0.0), np.where(never, 0.0, 1.0)
-
-
-def _decided(c: Enclosure) -> tuple[Numbers, Numbers]:
-    """Whether a condition is never and always met."""
-    return (c.low == 0) & (c.high == 0) & (c.error == 0), ((c.low > 0) | (c.high < 0)) & (c.error == 0)
-
-
 def _chosen(c: Enclosure, x: Enclosure) -> Range:
-    never, always = _decided(c)
+    never, always = (c.low == 0) & (c.high == 0), (c.low > 0) | (c.high < 0)
     low = np.where(never, 0.0, np.where(always, x.low, np.minimum(x.low, 0.0)))
     return low, np.where(never, 0.0, np.where(always, x.high, np.maximum(x.high, 0.0)))
 
@@ -295,8 +263,8 @@ _RANGES: dict[str, Callable[..., Range]] = {
     "sign": lambda x: (np.sign(x.low), np.sign(x.high)),
     "fmin": lambda x, y: (np.minimum(x.low, y.low), np.minimum(x.high, y.high)),
     "fmax": lambda x, y: (np.maximum(x.low, y.low), np.maximum(x.high, y.high)),
-    "lt": lambda x, y: _less(x, y, False),
-    "le": lambda x, y: _less(x, y, True),
+    "lt": lambda x, y: (1.0 * (x.high < y.low), 1.0 * (x.low < y.high)),
+    "le": lambda x, y: (1.0 * (x.high <= y.low), 1.0 * (x.low <= y.high)),
     "not": lambda x: (1.0 - x.high, 1.0 - x.low),
     "if_else_zero": _chosen,
     "add": lambda x, y: (x.low + y.low, x.high + y.high),
@@ -322,44 +290,3 @@ _RANGES: dict[str, Callable[..., Range]] = {
 }
 EXACT = ("assign", "neg", "twice", "fabs", "sign", "fmin", "fmax", *TESTS, "not", "if_else_zero")
 """Operations that do not round."""
-
-
-# -- what errors of the arguments make of the result, its own rounding left out ------------------------------
-
-
-def _of_quotient(x: Enclosure, y: Enclosure) -> Numbers:
-    low, high = _quotient(x, y)
-    least = np.minimum(np.abs(y.low), np.abs(y.high)) - y.error
-    return (x.error + np.maximum(np.abs(low), np.abs(high)) * y.error) / least
-
-
-def _of_comparison(x: Enclosure, y: Enclosure) -> Numbers:
-    """A comparison that rounding can turn is off by 1."""
-    low, high = _less(x, y, False)
-    return np.where((low != high) & (x.error + y.error > 0), 1.0, 0.0)
-
-
-def _of_sign(x: Enclosure) -> Numbers:
-    sure = (x.low - x.error > 0) | (x.high + x.error < 0) | (x.error == 0)
-    return np.where(sure, 0.0, 2.0)
-
-
-_ERRORS: dict[str, Callable[..., Numbers]] = {
-    "assign": lambda x: x.error,
-    "neg": lambda x: x.error,
-    "twice": lambda x: 2 * x.error,
-    "fabs": lambda x: x.error,
-    "sign": _of_sign,
-    "fmin": lambda x, y: np.maximum(x.error, y.error),
-    "fmax": lambda x, y: np.maximum(x.error, y.error),
-    "lt": _of_comparison,
-    "le": _of_comparison,
-    "not": lambda x: x.error,
-    "if_else_zero": lambda c, x: np.where(_decided(c)[0], 0.0, np.where(c.error > 0, x.most, x.error)),
-    "add": lambda x, y: x.error + y.error,
-    "sub": lambda x, y: x.error + y.error,
-    "mul": lambda x, y: x.error * y.most + y.error * x.most,
-    "div": _of_quotient,
-    "inv": lambda x: _of_quotient(Enclosure(1.0, 1.0), x),
-    "sq": lambda x: x.error * (2 * x.most + x.error),
-}
