@@ -5,7 +5,7 @@ their monomials: reading = sum_j f_j(data) c_j(parameters, offsets). Features ar
 an effect that adds a term needs to declare none.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import product
@@ -262,17 +262,9 @@ def find_features(model: Model) -> Features:
     variables = ca.vertcat(s.pose, s.state, s.derived)
     if not _of_low_degree(model, variables):
         raise _not_polynomial(model)
-    zero = (0,) * variables.numel()
-    found, level = {zero: s.reading}, {zero: s.reading}
-    while level:
-        level = {
-            higher: derivative
-            for row, expression in level.items()
-            for higher, derivative in _higher(row, expression, variables)
-        }
-        found |= level
-        if any(sum(row) > MAX_DEGREE for row in level) or len(found) > MAX_FEATURES:
-            raise _not_polynomial(model)
+    found = derivatives(s.reading, variables, MAX_DEGREE, MAX_FEATURES)
+    if found is None:
+        raise _not_polynomial(model)
     carries_zero = {row: bool(len(model.offsets) and ca.depends_on(e, s.offsets)) for row, e in found.items()}
     order = sorted(found, key=lambda row: (not carries_zero[row], sum(row), [-k for k in row]))
     features = Features(model, np.array(order, dtype=int), sum(carries_zero.values()))
@@ -329,13 +321,26 @@ def _not_polynomial(model: Model) -> InputError:
     )
 
 
-def _higher(
-    row: tuple[int, ...], expression: ca.SX, variables: ca.SX
-) -> Iterator[tuple[tuple[int, ...], ca.SX]]:
-    jacobian = ca.jacobian(expression, variables)
-    for v in range(variables.numel()):
-        if jacobian[:, v].nnz() and not ca.SX(jacobian[:, v]).is_zero():
-            yield tuple(k + (i == v) for i, k in enumerate(row)), jacobian[:, v]
+def derivatives(
+    expression: ca.SX, variables: ca.SX, most_degree: int, most: int
+) -> dict[tuple[int, ...], ca.SX] | None:
+    """Return the derivatives that are not always 0, by the order in each of the variables (v,), itself first.
+
+    None where there are more than `most` or there is one beyond a degree: no polynomial, or too long a one.
+    """
+    found = level = {(0,) * variables.numel(): expression}
+    while level:
+        higher = {}
+        for row, derivative in level.items():
+            slopes = ca.jacobian(derivative, variables)
+            last = max((v for v, power in enumerate(row) if power), default=0)  # each once
+            for v in range(last, len(row)):
+                if slopes[:, v].nnz() and not ca.SX(slopes[:, v]).is_zero():
+                    higher[tuple(k + (i == v) for i, k in enumerate(row))] = slopes[:, v]
+        found, level = found | higher, higher
+        if len(found) > most or any(sum(row) > most_degree for row in level):
+            return None
+    return found
 
 
 def _derivative(expression: ca.SX, variables: ca.SX, row: np.ndarray) -> ca.SX:

@@ -37,14 +37,16 @@ from hallsym.codegen.intervals import Enclosure, enclose
 from hallsym.errors import InputError
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
+from hallsym.model.features import derivatives
 
 CLAMPED = 16.0
 """Times the box from which an iteration starts at most, of a model whose iterations could grow without end:
 far more than any readings within their limits make."""
 
 
-MOST_TERMS = 200
+MOST_TERMS = 400
 MOST_DEGREE = 8
+"""Derivatives of a polynomial that are not always 0, and its degree, at most."""
 NEGLIGIBLE = 1e-13
 """Size [m, rad, 1] below which a term of a Taylor series is left out."""
 
@@ -93,26 +95,15 @@ def polynomial(expression: ca.SX, symbols: ca.SX, variables: Sequence[str], what
 
     Raises `InputError` where there is no end to them; whether they reproduce it is for the caller to check.
     """
+    found = derivatives(expression, symbols, MOST_DEGREE, MOST_TERMS)
+    if found is None:
+        raise InputError(
+            f"C is generated for polynomials of the pose and the state only; {what} is none. Give a "
+            "quantity of one column that is not polynomial, such as sin Rz, through Signals.derive."
+        )
     origin = ca.SX.zeros(symbols.numel())
-    level: dict[Row, ca.SX] = {(0,) * len(variables): expression}
-    terms: dict[Row, ca.SX] = {}
-    while level:
-        higher: dict[Row, ca.SX] = {}
-        for row, derivative in level.items():
-            value = ca.substitute(derivative, symbols, origin) / prod(map(factorial, row))
-            if not value.is_zero():
-                terms[row] = value
-            slopes = ca.jacobian(derivative, symbols)
-            last = max((v for v, power in enumerate(row) if power), default=0)
-            for v in range(last, len(variables)):
-                if slopes[:, v].nnz() and not ca.SX(slopes[:, v]).is_zero():
-                    higher[tuple(k + (i == v) for i, k in enumerate(row))] = slopes[:, v]
-        level = higher
-        if len(terms) > MOST_TERMS or any(sum(row) > MOST_DEGREE for row in level):
-            raise InputError(
-                f"C is generated for polynomials of the pose and the state only; {what} is none. Give a "
-                "quantity of one column that is not polynomial, such as sin Rz, through Signals.derive."
-            )
+    terms = {row: ca.substitute(e, symbols, origin) / prod(map(factorial, row)) for row, e in found.items()}
+    terms = {row: value for row, value in terms.items() if not value.is_zero()}
     return Polynomial(tuple(variables), terms)
 
 
