@@ -215,5 +215,5 @@ def finite(d: Decoupler, ends: Sequence[Ends]) -> np.ndarray:
         for possible, values in every:
             for k, e in enumerate(values):  # not of one that is not a number either
                 if k != last or step.most is None:  # else the value alone may be more
-                    good &= ~possible | (e.most < MOST)
+                    good &= ~possible | (abs(e) < MOST)
     return good

@@ -195,7 +195,7 @@ class IntegerBackend(Backend):
         """Angles are proved as a whole: no reciprocal is in them; every angle that is read is tried."""
         found = super()._templates()
         if self.program.angles and self.decoupler.evident:
-            found["proof/eva.c"] = f"{FRAGMENTS}eva_of_step.c"
+            found["proof/eva.c"] = "common/proof/eva.c"
         if self.reads_angle:
             found["proof/exhaustive.c"] = f"{FRAGMENTS}every_angle.c"
         return found

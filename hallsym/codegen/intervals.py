@@ -36,14 +36,9 @@ class Enclosure:
 
     __array_ufunc__ = None  # arrays leave it to the arithmetic below
 
-    @property
-    def most(self) -> Numbers:
-        """Largest magnitude."""
-        return np.maximum(np.abs(self.low), np.abs(self.high))
-
     def __abs__(self) -> Numbers:
         """Return the largest magnitude."""
-        return self.most
+        return np.maximum(np.abs(self.low), np.abs(self.high))
 
     def __neg__(self) -> "Enclosure":
         """Return the range of -x."""
