@@ -26,25 +26,7 @@ static inline float magnitude(float value) /* -0 gives 0, as the instruction doe
 {% if by_size == "all" %}
 #if defined(__FRAMAC__)
 {% endif %}
-INLINE float limited(float value, float low, float high, uint32_t bit, uint32_t *status)
-{
-    float result = value;
-    if (UNLIKELY(!(value <= high))) /* NaN goes here too */
-    {
-        result = high;
-        *status {{ "|=" if d.shared else "+=" }} bit; /* {{ "inputs share bits" if d.shared else "each bit once" }} */
-    }
-    else if (UNLIKELY(value < low))
-    {
-        result = low;
-        *status {{ "|=" if d.shared else "+=" }} bit; /* {{ "inputs share bits" if d.shared else "each bit once" }} */
-    }
-    else
-    {
-        /* within its range */
-    }
-    return result;
-}
+{% include "common/fragments/limited.c" %}
 {% if by_size == "all" %}
 #endif
 {% endif %}

@@ -4,25 +4,7 @@
 
 {% include "q31/fragments/helpers.c" %}
 {% if b.limited %}
-static inline int32_t limited(int32_t value, int32_t low, int32_t high, uint32_t bit, uint32_t *status)
-{
-    int32_t result = value;
-    if (value > high)
-    {
-        result = high;
-        *status {{ "|=" if d.shared else "+=" }} bit; /* {{ "inputs share bits" if d.shared else "each bit once" }} */
-    }
-    else if (value < low)
-    {
-        result = low;
-        *status {{ "|=" if d.shared else "+=" }} bit; /* {{ "inputs share bits" if d.shared else "each bit once" }} */
-    }
-    else
-    {
-        /* within its range */
-    }
-    return result;
-}
+{% include "common/fragments/limited.c" %}
 
 {% endif %}
 {% include "common/fragments/signature.c" %}
