@@ -53,8 +53,6 @@ CERTAIN = 3.0
 contradicts the noise (the same probability, 0.13 %)."""
 CHANCE = 0.01
 """Probability that noise alone makes the worst of all runs and channels count. The usual 1 %."""
-UNKNOWN = 1e9
-"""Multiple of the noise that stands for the usual one where runs are too few."""
 MAD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
@@ -69,10 +67,10 @@ class GoodnessOfFit:
     `by_run`, `by_channel`: rms residual over its standard deviation by noise. `worst_run`, `worst_channel`:
     the channel in one run with the largest residual, `worst` times the noise; `worst_least` is the lower end
     of that multiple, at 99 % for all runs and channels together; `usual`: its median over the runs, which the
-    noise of this channel does not exceed. `uncertain`: factor within which the noise floor is known;
-    `threshold`: relative decrease of the error that is worth reporting. `noise`: the residual over the stated
-    noise, if it is noise; else 0. `what`: the model that does not describe the log where the residual is
-    material; `next_command` finds the cause.
+    noise of this channel does not exceed, None of few runs. `uncertain`: factor within which the noise floor
+    is known; `threshold`: relative decrease of the error that is worth reporting. `noise`: the residual over
+    the stated noise, if it is noise; else 0. `what`: the model that does not describe the log where the
+    residual is material; `next_command` finds the cause.
     """
 
     residual_over_noise: float
@@ -84,7 +82,7 @@ class GoodnessOfFit:
     worst_channel: str
     worst: float
     worst_least: float
-    usual: float = UNKNOWN
+    usual: float | None = None
     uncertain: float = 1.0
     threshold: float = WORTH_REPORTING
     noise: float = 0.0
@@ -120,12 +118,12 @@ class GoodnessOfFit:
     def material(self) -> bool:
         """Whether the residual is so much larger than the noise that a report begins with it."""
         over = self.significant and self.residual_over_noise > self.limit
-        return over or self.worst_least > OUTWEIGHS**0.5 * min(self.uncertain, max(self.usual, 1.0))
+        return over or self.odd_run or self.worst_least > OUTWEIGHS**0.5 * self.uncertain
 
     @property
     def odd_run(self) -> bool:
         """Whether one run has much more than noise in a channel, by the noise of most runs there."""
-        return self.worst_least > OUTWEIGHS**0.5 * max(self.usual, 1.0)
+        return self.usual is not None and self.worst_least > OUTWEIGHS**0.5 * max(self.usual, 1.0)
 
     @property
     def sentence(self) -> str | None:
@@ -220,7 +218,7 @@ def goodness_of(point: Point, estimated: int) -> GoodnessOfFit:
         worst_channel=channels[channel],
         worst=float(np.sqrt(ratio[run, channel])),
         worst_least=float(np.sqrt(least[run, channel])),
-        usual=float(np.sqrt(typical[channel])) if len(used) >= FEWEST_RUNS else UNKNOWN,
+        usual=float(np.sqrt(typical[channel])) if len(used) >= FEWEST_RUNS else None,
     )
 
 

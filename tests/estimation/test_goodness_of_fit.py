@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from twins import COLUMNS, HALL, SIGMAS, cost_on, record, true_model, with_noise
 
 from hallsym import bundled_campaign, fit, load_fit, read_log
-from hallsym.estimation.goodness_of_fit import UNKNOWN, goodness_of
+from hallsym.estimation.goodness_of_fit import goodness_of
 from hallsym.estimation.optimum import refit
 from hallsym.estimation.task import lower_bound
 from hallsym.log import Log, Meta, Noise, Sigma
@@ -84,7 +84,7 @@ def test_residuals_are_counted_by_run_and_channel():
     assert found.usual == pytest.approx(1.0, abs=0.05)
     odd = replace(found, worst_least=2.0).judged(2.0)
     assert odd.material
-    assert not replace(odd, usual=UNKNOWN).material
+    assert not replace(odd, usual=None).material
 
 
 @pytest.mark.slow
