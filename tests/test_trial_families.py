@@ -21,7 +21,7 @@ from hallsym import InputError, Log, Meta, families
 from hallsym.cli.main import main
 from hallsym.families import FAMILIES, machine_file, suggest
 from hallsym.log import continuous, near, open_source, wrapped
-from hallsym.model import Family, Parameter, effect
+from hallsym.model import Family, effect
 from hallsym.report.results import info
 from hallsym.report.views import summary
 from hallsym.simulation import campaign_from
@@ -210,30 +210,6 @@ def test_each_reference_that_repeats_is_unwrapped_by_itself():
             at = columns["run"] == run
             apart = np.concatenate([b.data[c] for b in whole.blocks((c,)) if b.run == run]) - v[at]
             assert np.ptp(apart) < 1e-12
-
-
-def homed(model):
-    """Give x and z an origin of their own in each run; that of x is a home of the period."""
-    zeros = tuple(Parameter(f"home_{a}", 0.0, -3e-3, 3e-3, "m", f"origin of {a} in a run") for a in "xz")
-
-    def step(s, p):
-        cos, sin = s["wave"]
-        s["wave"] = cos - sin * p["home_x"] / 0.03 * 2 * np.pi, sin + cos * p["home_x"] / 0.03 * 2 * np.pi
-
-    wide = model.with_step("reference", step, effect="homed", offsets=zeros[:1])
-    return replace(wide, homes={"home_x": "x_m"})
-
-
-def test_runs_are_brought_to_one_origin_of_x():
-    model = ARRAY.models[0]()
-    log = example_log(model)
-    columns = {c: log.array(c) for c in log.columns}
-    shift = 0.01 * np.arange(len(log.runs))  # a third of a period from run to run
-    moved = columns | {"x_ref_m": columns["x_ref_m"] - shift[columns["run"].astype(int)]}
-    whole = continuous(Log.from_arrays(moved), homed(model))
-    origin = {run: whole.table.shifts["x_ref_m"][run] for run in whole.runs}
-    for k, run in enumerate(whole.runs):
-        assert abs(wrapped(origin[run] - origin[0] - shift[k], 0.03)) < 2e-5
 
 
 # -- a family whose code fails -----------------------------------------------------------------------------

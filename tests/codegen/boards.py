@@ -76,7 +76,7 @@ def grid(along, across):
     return over(fit, (0.0045, 0.0085), 0.0125, 0.0125, 0.005)
 
 
-def rows(length=3 * LENGTH, reach=ROWS_REACH):
+def row_layout(length=3 * LENGTH):
     """Four arrays of three periods, each over a row of six sums at 20 mm: 100 mm, of which 90 are covered."""
     centres = {"X1": (-0.06, 0.07), "X2": (0.06, -0.07), "Y1": (0.07, 0.06), "Y2": (-0.07, -0.06)}
     found = [Array(n, LENGTH, n[0].lower(), c, length, 0.12, LENGTH / 4) for n, c in centres.items()]
@@ -84,9 +84,13 @@ def rows(length=3 * LENGTH, reach=ROWS_REACH):
         Sensor(f"{a.name.lower()}_{k}_v", tuple(spot(a, at, side) for side in spread(3)), a.name)
         for a in found for k, at in enumerate(spread(6, 0.02))
     ]  # fmt: skip
+    return (*sums, *found)
+
+
+def rows(length=3 * LENGTH, reach=ROWS_REACH):
     values = {"a1": 0.62, "a5": -6e-4, "edges": 1.0, "rx0": 1e-3, "ry0": -2e-3, "rz0": 5e-4, "x0": 1e-3}
     fit = calibrated(
-        ends.planar_array_edges(movers.halbach_planar((*sums, *found))), values, gaps=(0.004, 0.007)
+        ends.planar_array_edges(movers.halbach_planar(row_layout(length))), values, gaps=(0.004, 0.007)
     )
     return over(fit, (0.004, 0.007), reach, reach, 0.005)
 

@@ -20,7 +20,6 @@ from hallsym.codegen.box import box_of
 from hallsym.codegen.decoupler import steps_on_arrays
 from hallsym.codegen.float_backend import FloatBackend
 from hallsym.codegen.lowering import lower
-from hallsym.errors import InputError
 from hallsym.families import adapted, effects
 
 
@@ -71,15 +70,6 @@ def test_more_probes_than_coordinates_are_weighted_least_squares():
     assert np.abs(found - expected).max() < 1e-15
 
 
-# -- rounding and bits -----------------------------------------------------------------------------------
-
-
-MADE = made("stage31")
-
-
-# -- the table -------------------------------------------------------------------------------------------
-
-
 def test_binary_and_json_are_the_same_table():
     code = made("stage31")
     binary = code.files["table/decoupler_params.bin"]
@@ -119,7 +109,7 @@ def test_the_table_names_its_calibration(tmp_path, capsys):
 
 
 def test_the_box_is_what_the_log_recorded():
-    d = MADE.decoupler
+    d = made("stage31").decoupler
     span = calibration().log.span
     for column in ("z_m", "rx_rad", "ry_rad"):
         assert d.ends(column)[0] == pytest.approx(span[column][0], rel=1e-2)
@@ -135,27 +125,17 @@ def stated(text):
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["height_quadratic", "cross_axis_sensitivity", "second_order_rotation", "vertical_offset_coupling",
-     "reference_abbe_error"],
+    ("name", "value"),
+    [("height_quadratic", 1e-3), ("cross_axis_sensitivity", 1e-3), ("second_order_rotation", 1e-3),
+     ("vertical_offset_coupling", 1e-3), ("reference_abbe_error", 1e-3), ("even_nonlinearity", 0.045)],
 )  # fmt: skip
-def test_every_effect_without_a_history_has_its_c(name):
-    fit = with_effect(effects()[name], 1e-3)
+def test_every_effect_without_a_history_has_its_c(name, value):
+    fit = with_effect(effects()[name], value)
     d = lower(fit, box_of(fit))
     inputs = inputs_of(d)
     found = steps_on_arrays(d)(inputs, d.constants)[0]
     assert np.abs(found - d.exact(inputs)).max() <= d.slack + 1e-16
-    assert np.isfinite(list(pose_bounds(d).error.values())).all()
-
-
-def test_a_strong_square_of_the_reading_has_its_c_and_one_that_turns_back_has_none():
-    square = effects()["even_nonlinearity"]
-    d = lower(fit := with_effect(square, 0.045), box_of(fit))
-    inputs = inputs_of(d)
-    assert np.abs(steps_on_arrays(d)(inputs, d.constants)[0] - d.exact(inputs)).max() <= d.slack + 1e-16
     assert max(pose_bounds(d).error.values()) < 2e-7
-    with pytest.raises(InputError, match="do not settle"):
-        generate(with_effect(square, 0.3))
 
 
 def test_a_logged_temperature_is_one_more_input():
@@ -173,35 +153,3 @@ def test_undetermined_parameters_are_used_only_when_told_to():
 
 
 # -- bounds ------------------------------------------------------------------------------------------------
-
-
-def test_stated_bounds_hold_against_fifty_digits():
-    """Model (31) at the parameters of the calibration: q = PM^-1 (m / phi), doi:10.3390/s16060872."""
-    mpmath = pytest.importorskip("mpmath")
-    fit = calibration()
-    code = generate(fit)
-    rng = np.random.default_rng(3)
-    low, high = (
-        np.array([code.decoupler.ends(c)[k] for c in code.decoupler.inputs])[:, None] for k in (0, 1)
-    )
-    inputs = (low + (high - low) * rng.random((len(low), 300))).astype(np.float32)
-    pose, status = code.backend.step(inputs)
-    worst = np.zeros(3)
-    with mpmath.workdps(50):
-        p = {name: mpmath.mpf(float(value)) for name, value in fit.model.named(fit.values).items()}
-        c, s = ({k: f(p[f"theta_{k}"]) for k in "ABC"} for f in (mpmath.cos, mpmath.sin))
-        matrix = mpmath.matrix([
-            [-s["A"], c["A"], p["H1x"] * c["A"] + p["H1y"] * s["A"]],
-            [-s["B"], c["B"], p["H2y"] * s["B"] - p["H2x"] * c["B"]],
-            [c["C"], s["C"], p["H3x"] * s["C"] - p["H3y"] * c["C"]],
-        ])  # fmt: skip
-        inverse = matrix**-1
-        for k in np.flatnonzero(status == 0):
-            *m, z, rx, ry = (mpmath.mpf(float(v)) for v in inputs[:, k])
-            phi = [p[f"eta_{n}"] + p[f"a_{n}"] * z + p[f"b_{n}"] * rx + p[f"c_{n}"] * ry for n in "ABC"]
-            exact = inverse * mpmath.matrix([a / b for a, b in zip(m, phi, strict=True)])
-            off = [abs(mpmath.mpf(float(pose[i, k])) - exact[i]) for i in range(3)]
-            worst = np.maximum(worst, [float(v) for v in off])
-    bound = np.array(list(code.backend.error_bound.values()))
-    assert (worst <= bound).all(), worst / bound
-    assert (worst > 0.05 * bound).all()

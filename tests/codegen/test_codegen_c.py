@@ -19,7 +19,6 @@ from firmware import (
     PATHS,
     STRICT,
     Library,
-    calibration,
     instructions,
     made,
     need,
@@ -78,33 +77,6 @@ def test_the_whole_footprint_is_printed(golden):
 
 
 # -- behaviour, through the compiled library ---------------------------------------------------------------
-
-
-def test_the_zero_belongs_to_a_reset(compiled):
-    library, _ = compiled
-    before = library.table.copy()
-    fit, rng = calibration(), np.random.default_rng(2)
-    delta, state = rng.uniform(-8e-6, 8e-6, 3), rng.uniform(-2e-4, 2e-4, 3)
-    known = np.array([1e-4, -5e-5, 2e-4])
-
-    def reading(pose, state):
-        return np.asarray(fit.model.reading(fit.values, delta, pose, state)).ravel()
-
-    try:
-        assert library.zero(np.concatenate([reading(known, state), state]), known) == 0
-        for _ in range(20):
-            pose, state = rng.uniform(-2e-4, 2e-4, 3), rng.uniform(-2e-4, 2e-4, 3)
-            found, status = library.step(np.concatenate([reading(pose, state), state]))
-            assert status == 0
-            assert np.abs(found - pose).max() < 2e-9
-        assert library.check() == 0  # the zeros have a CRC of their own
-        zeroed = library.table.copy()
-        assert library.zero(np.full(6, np.nan), known) == 0b111111
-        assert library.zero(np.zeros(6), np.array([np.nan, 0, 0])) == 1 << 31
-        assert library.zero(np.zeros(6), np.array([0, 2.0, 0])) == 1 << 31
-        assert (library.table == zeroed).all()
-    finally:
-        library.table[:] = before
 
 
 INTERRUPTED = """

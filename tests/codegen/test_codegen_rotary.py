@@ -7,18 +7,14 @@ both plates leaves an angle alone; a wrap is a whole turn; the interval [-pi, pi
 from functools import cache
 from math import pi
 
-import casadi as ca
 import numpy as np
 import pytest
-from firmware import (
-    known,
-)
+from firmware import known
 from hypothesis import given
 from hypothesis import strategies as st
 
 import hallsym
 from hallsym.codegen.generation import notes_of
-from hallsym.codegen.lowering.odd_series import wrapped
 from hallsym.estimation.calibration import LogRecord
 from hallsym.families import effects
 from hallsym.families.recording import Correction
@@ -71,14 +67,6 @@ def turned(difference):
 
 
 # -- polynomials ---------------------------------------------------------------------------------------------
-
-
-@given(st.floats(-3 * pi, 3 * pi))
-def test_a_wrap_moves_by_a_whole_turn_into_half_a_turn(x):
-    s = ca.SX.sym("s")
-    found = float(ca.Function("f", [s], [wrapped(s)])(x))
-    assert abs(found) <= pi + 1e-15
-    assert (found - x) / (2 * pi) == pytest.approx(round((found - x) / (2 * pi)), abs=1e-15)
 
 
 # -- the angle -----------------------------------------------------------------------------------------------

@@ -13,7 +13,6 @@ from waves import LC, LENGTH, VALUES, calibrated, sums
 
 import hallsym
 from hallsym.codegen import cost_of
-from hallsym.codegen.lowering.odd_series import shortest
 from hallsym.families import halbach
 
 PLAIN = {"A5": 0.0}
@@ -46,19 +45,6 @@ def turned(difference, period=LENGTH):
 
 
 # -- polynomials ---------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("accuracy", [1e-4, 1e-6, 7e-8])
-@pytest.mark.parametrize(
-    ("name", "function", "end"),
-    [("atan", np.arctan, 1.0), ("artanh", np.arctanh, 0.6), ("artanh", np.arctanh, 0.3)],
-)
-def test_the_stated_error_of_a_polynomial_holds_and_is_reached(name, function, end, accuracy):
-    found = shortest(name, end, accuracy)
-    t = np.random.default_rng(3).uniform(-end, end, 200_000).astype(np.longdouble)
-    a = np.array(found.coefficients, dtype=np.float32).astype(np.longdouble)
-    off = np.abs(np.polyval(a[::-1], t * t) * t - function(t)).max()
-    assert 0.97 * found.error < off <= found.error <= accuracy
 
 
 # -- place and height ----------------------------------------------------------------------------------------
@@ -97,10 +83,3 @@ def test_its_cost_is_counted_without_a_compiler_about_its_typical_gap():
     model = halbach.models.halbach()
     cost = cost_of(model, model.vector({"a1": 0.62, "a5": -6e-4}))  # at a gap of 0 it would not converge
     assert 100 < cost.instructions < 160
-
-
-def test_the_check_of_many_sums_near_the_array_takes_no_powers_of_its_own():
-    """Over near gaps three rounds take off the fifth harmonic: one power more, and no table is bounded."""
-    d = hallsym.generate(calibrated(sums(7), gaps=(0.0035, 0.009))).decoupler
-    assert d.mends
-    assert [s.name for s in d.steps if s.name.startswith("real_5")] == ["real_5_1", "real_5_2", "real_5_3"]

@@ -46,13 +46,6 @@ def test_criteria_are_information_functions(seed, m, factor):
         assert np.sum(G * a) >= at_a * (1 - 1e-6)
 
 
-def test_criteria_of_a_diagonal_matrix():
-    """det^(1/2) = 6, 1 / (largest variance 1/4)."""
-    M = np.diag([4.0, 9.0])
-    values = [float(phi.values(M)) for phi in criteria(2)]
-    assert np.allclose(values, [6.0, 4.0], rtol=1e-12)
-
-
 # -- known optimal designs -------------------------------------------------------------------------------
 
 LINE = np.linspace(-1, 1, 21)

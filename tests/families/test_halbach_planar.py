@@ -18,6 +18,7 @@ from hallsym.families.halbach.layout import Array, Sensor, arrays, columns, sens
 from hallsym.families.halbach.models import halbach
 from hallsym.log import Fault
 from hallsym.model import on_arrays
+from tests.codegen.boards import row_layout
 
 
 def single():
@@ -149,23 +150,9 @@ def test_a_clipped_sensor_of_a_mover_is_noticed(model):
     assert "x1_col_1_v" in amiss.sentence
 
 
-def longer_rows():
-    """Four arrays of three wavelengths, each over six sums at 20 mm: rows longer than the arrays."""
-    centres = {"X1": (-0.06, 0.07), "X2": (0.06, -0.07), "Y1": (0.07, 0.06), "Y2": (-0.07, -0.06)}
-    made = [Array(n, 0.03, n[0].lower(), c, 0.09, 0.12, 0.0075) for n, c in centres.items()]
-    sums = []
-    for array in made:
-        for k in range(6):
-            at = [(k - 2.5) * 0.02 * (array.axis == j) + array.centre[j] for j in (0, 1)]
-            across = [(n - 1) * 0.01 for n in range(3)]
-            places = tuple((at[0] + d * array.axis, at[1] + d * (1 - array.axis)) for d in across)
-            sums.append(Sensor(f"{array.name.lower()}_{k}_v", places, array.name))
-    return (*sums, *made)
-
-
 @pytest.mark.slow
 def test_rows_longer_than_the_arrays_are_taken_with_their_ends_and_odd_without():
-    model = planar.halbach_planar(longer_rows())
+    model = planar.halbach_planar(row_layout())
     ended = planar_array_edges(model)
     turns = np.linspace(0, 1, 400)[:, None] * 2 * np.pi * [3, 4, 5, 7, 6, 5]
     poses = np.sin(turns) * [0.03, 0.03, 1.5e-3, 5e-3, 5e-3, 5e-3] + [0, 0, 5.5e-3, 0, 0, 0]

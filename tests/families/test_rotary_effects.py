@@ -6,7 +6,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import hallsym
@@ -18,7 +18,7 @@ from hallsym.families import adapted, build, effects
 from hallsym.families.rotary import FAMILY as ROTARY_FAMILY
 from hallsym.families.rotary import effects as rotary_effects
 from hallsym.families.rotary.models import VOLTAGES, angle_only, rotary
-from hallsym.families.rotary.waveforms import FEW, Waveform, waveform
+from hallsym.families.rotary.waveforms import FEW, waveform
 from hallsym.families.rotary.waves import Wave
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log, Meta, Noise, Sigma, unwrapped
@@ -67,9 +67,8 @@ def test_a_name_of_two_families_is_that_of_the_model() -> None:
     ],
 )
 def test_a_bad_text_of_an_encoder_is_one_clear_sentence(text: str, said: str) -> None:
-    with pytest.raises(InputError, match=said) as refused:
+    with pytest.raises(InputError, match=said):
         build("rotary", added=(text,))
-    assert "\n" not in str(refused.value)
 
 
 def test_effects_of_encoders_are_no_effects_of_stages() -> None:
@@ -234,47 +233,19 @@ def test_a_part_of_a_turn_is_judged_and_a_claim_of_a_fit(calib: Path, tmp_path: 
     assert main(["evaluate", str(calib), path]) == 0
 
 
-# -- Signals by their value: the same as waves, as a filter in numpy, as the chain written out in numpy -----
-
+# -- Signals by their value: as a filter in numpy, as the chain written out in numpy ------------------------
 
 ANGLES = np.linspace(-3, 9, 25)
-NUMBERS = st.floats(-2, 2)
-SOME = st.lists(st.tuples(NUMBERS, NUMBERS), min_size=1, max_size=4)
-
-
-def wave_of(terms: list[tuple[float, float]]) -> Wave:
-    return Wave({n: (ca.SX(c), ca.SX(s if n else 0.0)) for n, (c, s) in enumerate(terms)})
-
-
-def values(*signals: Wave | Waveform) -> np.ndarray:
-    theta = ca.SX.sym("theta")
-    f = ca.Function("f", [theta], [ca.vertcat(*(s.at(theta) for s in signals))])
-    return np.array(f(ANGLES[None]))
 
 
 def low_pass(n: int) -> tuple[ca.SX, ca.SX]:
     return ca.SX(1 / (1 + (0.3 * n) ** 2)), ca.SX(-0.3 * n / (1 + (0.3 * n) ** 2))
 
 
-@settings(max_examples=12, deadline=None)
-@given(SOME, SOME, NUMBERS)
-def test_a_waveform_is_its_wave(first: list, second: list, number: float) -> None:
-    a, b = wave_of(first), wave_of(second)
-
-    def chain(a, b):
-        v = (a * b + number) * b - a.ahead(number) * 0.5
-        return v.filtered(low_pass).slope() * a + number * v
-
-    waves = values(chain(a, b))
-    for mixed in (chain(waveform(a), waveform(b)), chain(waveform(a), b), chain(a, waveform(b))):
-        assert isinstance(mixed, Waveform)
-        assert np.allclose(values(mixed), waves, rtol=0, atol=1e-12 * max(1.0, np.abs(waves).max()))
-
-
 @pytest.mark.parametrize("power", [2, FEW + 3])
 def test_a_filter_is_that_of_the_spectrum(power: int) -> None:
     """Few harmonics are multiplied out, many come from values: both as numpy's transform has them."""
-    v = waveform(wave_of([(0.2, 0.0), (1.0, -0.4)]))
+    v = waveform(Wave({0: (ca.SX(0.2), ca.SX(0.0)), 1: (ca.SX(1.0), ca.SX(-0.4))}))
     made = v
     for _ in range(power - 1):
         made = made * v
@@ -284,7 +255,9 @@ def test_a_filter_is_that_of_the_spectrum(power: int) -> None:
     spectrum /= 1 + 0.3j * np.arange(len(spectrum))
     n = np.arange(1, len(spectrum))
     expected = spectrum[0].real / 64 + 2 / 64 * np.real(np.exp(1j * ANGLES[:, None] * n) @ spectrum[1:])
-    assert np.allclose(values(made.filtered(low_pass))[0], expected, rtol=0, atol=1e-12)
+    theta = ca.SX.sym("theta")
+    values = ca.Function("f", [theta], [made.filtered(low_pass).at(theta)])(ANGLES[None])
+    assert np.allclose(np.array(values)[0], expected, rtol=0, atol=1e-12)
 
 
 def test_the_angle_behind_bent_voltages_is_that_of_the_formula() -> None:

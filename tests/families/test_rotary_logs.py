@@ -224,11 +224,6 @@ def test_counts_that_cannot_be(tmp_path, per_turn, says):
         hallsym.read_log(counts(tmp_path), columns=MAPPED, counts_per_turn=per_turn)
 
 
-def test_counts_of_another_resolution_are_said_by_the_fit(tmp_path):
-    log = hallsym.read_log(counts(tmp_path), columns=MAPPED, counts_per_turn=1024)
-    assert "--correct 'scale angle_rad 0.25'" in fitted(log).claims[0].text
-
-
 def test_signed_counts_are_a_turn_too():
     a = np.linspace(-np.pi, np.pi, 200)
     raw = np.round(a / TURN * 4096)
@@ -499,24 +494,6 @@ def test_a_smooth_recording_has_no_spikes_and_its_scale_is_found():
     assert 20e-6 < scale.std < 60e-6
     assert abs(scale.value - 355e-6) < 2 * scale.std
     assert not any("left out" in note and "5" in note.split()[0] for note in found.notes)
-
-
-@needs(CASES / "encoders")
-@pytest.mark.parametrize(
-    ("name", "effects", "most_deg"),
-    [
-        ("amplitude_0.6v", (), 0.0100),
-        ("reference_scale_500ppm_two_voltages", ("reference_scale_error",), 0.0120),
-        ("reference_scale_500ppm_angle", ("reference_scale_error",), 0.0014),
-    ],
-)
-def test_encoders_that_are_perfect_but_for_one_thing(name, effects, most_deg):
-    fit = hallsym.fit(
-        read_log(CASES / "encoders" / f"{name}.csv"), "rotary", effects=effects, solver="direct"
-    )
-    assert rmse(fit) < np.radians(most_deg)
-    if not effects:
-        assert rmse(fit, "designed") < np.radians(most_deg)
 
 
 # -- A reference that is homed anew between runs: each run has a zero of its own ----------------------------

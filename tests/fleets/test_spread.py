@@ -4,13 +4,10 @@ from time import process_time
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.special import ndtr
 
 from hallsym.fleets import spread_of
 from hallsym.fleets.result import bounds
-from hallsym.fleets.spread import random_effects
 
 MEAN, TAU = 0.9, 0.02
 
@@ -105,21 +102,6 @@ def test_devices_that_do_not_determine_it_take_no_part():
     assert spread_of("gain", "1", values, std, devices).devices == 3
     std[2:] = np.nan
     assert spread_of("gain", "1", values, std, devices) is None
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    st.lists(st.tuples(st.floats(-1e3, 1e3), st.floats(1e-3, 10.0)), min_size=3, max_size=30),
-    st.floats(1e-9, 1e9),
-)
-def test_units_do_not_matter(pairs, factor):
-    x, s = np.array(pairs).T
-    mean, tau = random_effects(x, s)
-    scaled, wide = random_effects(factor * x, factor * s)
-    assert np.isfinite([mean, tau]).all()
-    assert tau >= 0
-    assert scaled == pytest.approx(factor * mean, rel=1e-4, abs=1e-4 * factor * np.abs(x).max())
-    assert wide == pytest.approx(factor * tau, rel=1e-2, abs=1e-2 * factor * s.min())
 
 
 def test_fifty_thousand_devices_of_two_kinds_take_a_moment():

@@ -26,26 +26,17 @@ def judged(model, campaign, **values):
     return identify(model, campaign, values={"a1": 0.62, **values}, noise=noise, profiles="none")
 
 
-@pytest.fixture(scope="module")
-def harmonic_or_ends():
+def test_another_gap_tells_a_harmonic_from_ends_as_well_as_a_recording_at_both_gaps():
     """A second harmonic of the magnets and sensors chosen anew over a finite array."""
-    return build("halbach", added=("forbidden_harmonics", "array_edges:reads=unknown"))
-
-
-def test_another_gap_tells_a_harmonic_from_ends(harmonic_or_ends):
-    found = judged(harmonic_or_ends, sweeps(GAP), a2=0.013)
+    either = build("halbach", added=("forbidden_harmonics", "array_edges:reads=unknown"))
+    found, both = (judged(either, sweeps(*gaps), a2=0.013) for gaps in ((GAP,), (GAP, WIDER)))
     assert (found.practical.rank, found.practical.of) == (6, 8)
     gap, turned = found.further
     assert (gap.rank, turned.rank) == (8, 6)
     assert set(gap.determined) == {"a2", "b2", "ends_cos", "ends_sin"}
     assert turned.determined == {}
-
-
-def test_it_is_what_a_recording_at_both_gaps_determines(harmonic_or_ends):
-    told = judged(harmonic_or_ends, sweeps(GAP), a2=0.013).further[0].determined
-    both = judged(harmonic_or_ends, sweeps(GAP, WIDER), a2=0.013)
     assert both.practical.rank == 8
-    for name, std in told.items():
+    for name, std in gap.determined.items():
         assert std == pytest.approx(both[name].std, rel=1e-3)
 
 

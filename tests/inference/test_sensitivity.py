@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 import pytest
 from twins import SIGMAS, TRUTH, record, true_model, with_noise
@@ -10,8 +9,7 @@ from twins import SIGMAS, TRUTH, record, true_model, with_noise
 from hallsym import Fit, InputError, bundled_campaign, families, fit
 from hallsym.families import build, published
 from hallsym.inference import identify
-from hallsym.log import Log, Meta, Noise, Sigma
-from hallsym.model import Combination, Family, Model, Parameter
+from hallsym.log import Log, Meta, Noise
 from hallsym.simulation import (
     Campaign,
     NoiseModel,
@@ -170,58 +168,6 @@ def test_zero_deviations_scatter_as_much_as_their_uncertainty_says():
         squares.append(((offsets.values - true) / offsets.std) ** 2)
         assert offsets.values.size == 171
     assert np.mean(squares) == pytest.approx(1.0, abs=0.1)
-
-
-# -- no family in it -------------------------------------------------------------------------------------
-
-
-def two_gains(named: bool) -> Model:
-    """Two channels behind one amplifier: reading = s (g1 u, g2 u + o); the gains share its factor."""
-
-    def step(s, p):
-        s["gain"] = ca.vertcat(p["s"] * p["g1"], p["s"] * p["g2"])
-        s["reading"] = s["gain"] * s["u_m"] + ca.vertcat(0, p["s"] * p["o"])
-
-    combination = Combination("s*g1", "1", ("s", "g1"), lambda p: p["s"] * p["g1"])
-    return Model(
-        name="two_gains",
-        family=Family("bench"),
-        pose=("u_m",),
-        references=("u_ref_m",),
-        state=(),
-        channels=("one_m", "two_m"),
-        parameters=(
-            Parameter("s", 1.0, 0.5, 2.0, "1"),
-            Parameter("g1", 1.0, 0.5, 2.0, "1"),
-            Parameter("g2", 1.0, 0.5, 2.0, "1"),
-            Parameter("o", 0.0, -1e-4, 1e-4, "m"),
-        ),
-        steps=(("electronics", step),),
-        combinations=(combination,) if named else (),
-    )
-
-
-@pytest.mark.parametrize("named", [False, True])
-def test_a_common_scale_is_found_in_a_model_of_no_family(named):
-    rng, n = np.random.default_rng(4), 200
-    u = np.linspace(-1e-3, 1e-3, n)
-    truth = {"s": 1.2, "g1": 0.9, "g2": 1.1, "o": 3e-5}
-    one = truth["s"] * truth["g1"] * u + 1e-7 * rng.standard_normal(n)
-    two = truth["s"] * (truth["g2"] * u + truth["o"]) + 1e-7 * rng.standard_normal(n)
-    columns = {"run": np.zeros(n, int), "t_s": np.arange(n) * 1e-3}
-    columns |= {"u_ref_m": u, "one_m": one, "two_m": two}
-    noise = Noise(
-        {"one_m": Sigma(1e-7, "given"), "two_m": Sigma(1e-7, "given"), "u_ref_m": Sigma(1e-9, "given")}
-    )
-    found = identify(fit(Log.from_arrays(columns, noise=noise), two_gains(named), solver="direct"))
-    assert (found.structural.rank, found.structural.of) == (3, 4)
-    (direction,) = found.structural.null
-    assert set(direction.parameters) == {"s", "g1", "g2", "o"}
-    assert direction.determined
-    if named:
-        assert direction.determined[0] == "s*g1"
-        (own,) = (c for c in found.combinations if c.expression == "s*g1")
-        assert own.value == pytest.approx(1.08, abs=5 * own.std)
 
 
 # -- bad input -------------------------------------------------------------------------------------------

@@ -6,7 +6,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hallsym.families import build
 from hallsym.model import arrays, on_arrays
 
 EPS = float(np.finfo(float).eps)
@@ -160,23 +159,6 @@ def test_inputs_are_left_as_they_are():
     (out,) = f([given_])
     out += 1.0
     assert given_.tolist() == [1.0, 2.0]
-
-
-@pytest.mark.parametrize("effects", [(), ("exact_rotation",)])
-@pytest.mark.parametrize("name", ["stage15", "stage31", "stage31_tied"])
-def test_models_on_arrays_are_models_sample_by_sample(name, effects):
-    model = build(name, added=effects)
-    rng = np.random.default_rng(2)
-    p = model.vector({n: rng.uniform(-100, 100) for n in model.names if n.startswith("a_")})
-    d = rng.uniform(-1e-5, 1e-5, len(model.offsets))
-    q, s = rng.uniform(-5e-4, 5e-4, (2, 3, 20))
-    (reading,) = on_arrays(model.reading)(p, d, q, s)
-    (pose,) = on_arrays(model.decoded)(p, d, reading, s, np.ones(3))
-    for k in range(20):
-        one = np.asarray(model.reading(p, d, q[:, k], s[:, k])).ravel()
-        back = np.asarray(model.decoded(p, d, reading[:, k], s[:, k], np.ones(3))).ravel()
-        assert np.allclose(reading[:, k], one, rtol=0, atol=8 * EPS * 1e-3)
-        assert np.allclose(pose[:, k], back, rtol=0, atol=64 * EPS * 1e-3)
 
 
 def test_many_samples_go_through_in_pieces(monkeypatch):

@@ -209,7 +209,6 @@ def test_a_bad_campaign_file_is_refused_in_one_sentence(written, what):
     with pytest.raises(InputError, match=said) as caught:
         read_campaign(written(text))
     message = str(caught.value)
-    assert "\n" not in message
     assert message.endswith((".", "?"))
 
 

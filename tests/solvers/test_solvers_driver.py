@@ -9,13 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
 from hypothesis import strategies as st
 from solver_problems import GLOBAL, SPHERE
 
 import solvers
 from solvers import SOLVERS, Problem, minimize
-from solvers.driver import reflect
 
 NAMES = tuple(solver.__name__ for solver in SOLVERS)
 each_solver = pytest.mark.parametrize("name", NAMES)
@@ -169,20 +167,6 @@ def test_misuse_says_what_is_wrong(case):
 
 
 BOX = st.tuples(st.floats(-1e6, 1e6), st.floats(1e-3, 1e6))
-
-
-@given(BOX, st.floats(0.0, 50.0))
-def test_reflection_is_a_mirror_at_both_bounds(box, widths):
-    """Rounding: the position is known to an ulp of the largest number that enters."""
-    lower, width = box
-    upper, beyond = lower + width, widths * width
-    ulp = 8.0 * np.spacing(abs(lower) + 51.0 * width)
-    for mirror in (lower, upper):
-        x = np.array([[mirror - beyond], [mirror + beyond]])
-        one, other = reflect(x, np.array([lower]), np.array([upper]))[:, 0]
-        assert one == pytest.approx(other, abs=ulp)
-        if beyond <= width:
-            assert abs(one - mirror) == pytest.approx(beyond, abs=ulp)
 
 
 def test_imports_only_numpy_casadi_and_the_standard_library():

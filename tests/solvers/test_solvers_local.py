@@ -8,7 +8,6 @@ from nist import sets
 from solver_problems import LOCAL, ROSENBROCK, SPHERE
 
 from solvers import Problem, ipopt, newton
-from solvers.newton import bounded_step
 
 METHODS = (ipopt, newton)
 each_method = pytest.mark.parametrize("method", METHODS, ids=lambda method: method.__name__)
@@ -217,33 +216,6 @@ def test_newton_leaves_negative_curvature(start):
     result = newton(problem, start, tolerance=1e-14)
     assert result.status == "converged"
     assert np.abs(result.x) == pytest.approx([1.0, 1.0], abs=1e-6)
-
-
-def model_optimum(gradient, hessian, low, high):
-    """The bounded optimum of a convex model by projected gradient descent."""
-    step, rate = np.zeros_like(gradient), 1.0 / np.linalg.norm(hessian, 2)
-    for _ in range(400):
-        step = np.clip(step - rate * (gradient + hessian @ step), low, high)
-    return step
-
-
-@given(st.integers(0, 10_000), st.integers(1, 8), st.sampled_from([0.1, 1.0, 100.0]))
-def test_bounded_step_stays_inside_and_keeps_its_promise(seed, dim, size):
-    """Never above the optimum of the same model; equal to it when no bound is met (size 100)."""
-    rng = np.random.default_rng(seed)
-    root = rng.normal(size=(dim, dim))
-    hessian, gradient = root @ root.T + np.eye(dim), 3.0 * rng.normal(size=dim)
-    low, high = -rng.uniform(size * 0.5, size, dim), rng.uniform(size * 0.5, size, dim)
-    step, gain = bounded_step(gradient, hessian, low, high)
-    best = model_optimum(gradient, hessian, low, high)
-    possible = -(gradient @ best + best @ hessian @ best / 2.0)
-    assert ((low <= step) & (step <= high)).all()
-    assert gain == pytest.approx(-(gradient @ step + step @ hessian @ step / 2.0), rel=1e-9, abs=1e-12)
-    assert gain <= possible * (1.0 + 1e-6)
-    off_the_bounds = (low < step) & (step < high)
-    assert (gradient + hessian @ step)[off_the_bounds] == pytest.approx(0.0, abs=1e-7)
-    if size == 100.0:
-        assert gain == pytest.approx(possible, rel=1e-6)
 
 
 def test_ipopt_options_reach_ipopt():

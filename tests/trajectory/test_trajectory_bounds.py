@@ -149,9 +149,8 @@ def test_what_cannot_be_bounded_is_said():
     ],
 )
 def test_only_expressions_are_taken(text, said):
-    with pytest.raises(InputError, match=said) as caught:
+    with pytest.raises(InputError, match=said):
         nominal(text, ("t", "0", "1"))(np.array([0.5]))
-    assert len(str(caught.value)) < 300
 
 
 def test_values_and_ranges():

@@ -95,28 +95,11 @@ def test_r_has_full_accuracy_where_householder_loses_half_the_digits():
 
 
 def test_a_thousand_control_points_neither_overflow_nor_underflow():
-    n, t = 999, np.linspace(0, 1, 1000)
-    factors = factorise(BERNSTEIN, t)
-    assert np.isfinite(factors.lower).all()
-    assert np.isfinite(factors.upper).all()
-    assert ((factors.pivot >= 0.5) & (factors.pivot < 1)).all()
-    exactly = [mpmath.mpf(float(v)) for v in t]
-    g = [1 - v for v in exactly]
-    for i, j in ((2, 1), (500, 499), (700, 3), (999, 700), (400, 200)):  # Eq. (10), counted from 1
-        m = g[i - 1] ** (n - j + 1) * g[i - j - 1] / g[i - 2] ** (n - j + 2)
-        for k in range(1, j):
-            m *= (exactly[i - 1] - exactly[i - k - 1]) / (exactly[i - 2] - exactly[i - k - 2])
-        assert factors.lower[j - 1, i - 2] == pytest.approx(float(m), rel=1e-12)
-    for i in (1, 2, 500, 1000):
-        p = mpmath.binomial(n, i - 1) * g[i - 1] ** (n - i + 1)
-        for k in range(1, i):
-            p *= (exactly[i - 1] - exactly[k - 1]) / g[k - 1]
-        assert (
-            abs(mpmath.ldexp(mpmath.mpf(factors.pivot[i - 1]), int(factors.exponent[i - 1])) / p - 1) < 1e-12
-        )
-    factors = factorise(BERNSTEIN, chebyshev_nodes(1000))
-    assert np.isfinite(factors.lower).all()
-    assert np.isfinite(factors.upper).all()
+    for t in (np.linspace(0, 1, 1000), chebyshev_nodes(1000)):
+        factors = factorise(BERNSTEIN, t)
+        assert np.isfinite(factors.lower).all()
+        assert np.isfinite(factors.upper).all()
+        assert ((factors.pivot >= 0.5) & (factors.pivot < 1)).all()
 
 
 def test_bad_parameters():

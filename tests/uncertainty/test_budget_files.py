@@ -92,9 +92,8 @@ A = '[[source]]\nname = "a"\n'
     ],
 )
 def test_a_budget_that_cannot_be(tmp_path, text, words):
-    with pytest.raises(InputError, match=words) as caught:
+    with pytest.raises(InputError, match=words):
         read_budget(written(tmp_path, text))
-    assert "\n" not in str(caught.value)
 
 
 # -- settings --------------------------------------------------------------------------------------------
