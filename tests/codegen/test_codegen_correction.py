@@ -111,6 +111,18 @@ def test_what_a_table_leaves_is_bounded_and_nearly_met(case, form):
     assert 0.8 * bound < met <= bound
 
 
+def test_the_slope_and_bend_of_a_correction_bound_what_it_does():
+    phase = np.linspace(-pi, pi, 20_001)
+    for found in (grid(curve("clipped"), 256, 3, False), grid(curve("meng angle"), 64, 1, True)):
+        value, slope = found.at(phase)
+        inside = slice(1, -1)
+        seen = np.gradient(value, phase)[inside]
+        assert np.abs(seen).max() <= found.slope * (1 + 1e-9)
+        assert np.abs(slope).max() <= found.slope
+        same = np.abs(np.diff(slope)) <= found.bend * (phase[1] - phase[0]) * (1 + 1e-9) + 1e-12
+        assert same.mean() > 0.98  # all but the corners of lines
+
+
 @pytest.mark.parametrize("case", ["meng angle", "harmonics volts", "ideal volts", "ellipse volts"])
 @pytest.mark.parametrize("accuracy", [1e-6, 1e-3, 0.9])
 def test_no_smaller_table_than_the_one_taken_would_do(case, accuracy):

@@ -38,6 +38,18 @@ def test_cordic_is_an_arctangent_within_its_bound(radius, angle, steps):
     assert turned(found - np.arctan2(y, x)) <= turns.angle_error(0.5 * LONG - 1, steps)
 
 
+@pytest.mark.parametrize(("bits", "shift"), [(16, 0), (16, 9), (16, 15), (32, 0)])
+@given(st.integers(0, 2**32 - 1), st.integers(0, 2**31))
+def test_a_table_is_straight_lines_between_its_entries(bits, shift, phase, seed):
+    rng = np.random.default_rng(seed)
+    values = np.cumsum(rng.integers(-90, 90, 64))
+    values = (values - values.mean().astype(int)) * (1 if bits == 16 else 20_000)
+    table = turns.AngleTable("t", values, shift, bits)
+    found = table.at(np.array([phase]))
+    wanted = np.interp(phase, np.arange(65) * 2.0**26, np.append(values, values[0])) * 2.0**shift
+    assert abs(found - wanted) * turns.UNIT <= table.error
+
+
 def test_a_table_that_does_not_fit_is_refused():
     with pytest.raises(InputError, match="does not fit into 32 bits"):
         turns.AngleTable("t", np.array([0, 2**15, 0, -(2**15)]), 16, 16)
@@ -54,3 +66,11 @@ def test_counts_that_are_shifted_are_angles():
     wanted = source.decoupler.exact(count[None] * (2 * pi / 2**14))
     assert not status.any()
     assert turned(pose * turns.UNIT - wanted).max() <= source.program.bounds["angle_rad"][2]
+
+
+def test_a_coarser_accuracy_takes_fewer_steps_of_cordic():
+    counts = [turns.steps_for(a) for a in (1e-9, 1e-6, 1e-5, 1e-3)]
+    assert counts == sorted(counts, reverse=True)
+    assert counts[0] == turns.STEPS
+    for accuracy, steps in zip((1e-6, 1e-5, 1e-3), counts[1:], strict=True):
+        assert accuracy / 65 < turns.angle_error(2.0**40, steps) - steps * turns.UNIT / 2 < accuracy / 31

@@ -165,13 +165,6 @@ def test_a_model_that_knows_its_ends_is_made_from_the_log_without_its_mistakes()
     assert not any("beyond the travel" in note for note in result.notes)
 
 
-def test_ends_are_nothing_in_the_middle_of_a_long_array():
-    wide = ends.array_edges(halbach(columns((-0.01, 0.0, 0.01), length_m=1.2)))
-    x, z = np.linspace(-0.02, 0.02, 9), np.full(9, 5e-3)
-    own = {"a1": 0.5, "b1": 0.3, "a5": 0.5 * FIFTH, "b5": 0.3 * FIFTH}
-    assert np.allclose(read(wide, own, x, z), read(wide, own | {"edges": 1.0}, x, z), atol=1e-4)
-
-
 def travelling(count=24, stroke=0.1):
     """A log of an array of four periods over a board of eight, and the model that made it."""
     places = [(j - (count - 1) / 2) * 0.01 for j in range(count)]

@@ -70,27 +70,6 @@ def test_reading_is_the_articles_equation(make, q, s, delta, seed):
     assert np.all(np.abs(numbers(model.gain, p, s) - phi(v, s)) <= ROUNDINGS * phi_size(v, s))
 
 
-@settings(max_examples=25)
-@given(poses, states, deltas, seeds)
-@pytest.mark.parametrize("make", [stage15, stage30, stage31])
-def test_decoded_is_the_articles_equation(make, q, s, delta, seed):
-    model = make()
-    rng = np.random.default_rng(seed)
-    names = [n for n in model.names if n[0] not in "abc"]
-    p = model.vector({n: v for n, v in named(model, inside(model, rng)).items() if n in names} | (
-        {n: TRUTH[n] * rng.uniform(0.5, 1.5) for n in model.names if n not in names}
-    ))  # fmt: skip
-    v = named(model, p)
-    at_reset = rng.uniform(-1e-4, 1e-4, 3)
-    d = delta / phi(v, at_reset) if model.offsets else np.zeros(3)
-    m = rng.uniform(-5e-4, 5e-4, 3)
-    expected = np.linalg.solve(pm(v), m / phi(v, s) - d)  # (31)
-    inverse = np.abs(np.linalg.inv(pm(v)))
-    error = phi_size(v, s) / phi(v, s) * np.abs(m / phi(v, s)) + np.abs(d) + np.abs(pm(v)) @ np.abs(expected)
-    found = numbers(model.decoded, p, zeros(model, d), m, s, np.ones(3))
-    assert np.all(np.abs(found - expected) <= ROUNDINGS * inverse @ (error + np.abs(pm(v)) @ inverse @ error))
-
-
 # -- any layout ------------------------------------------------------------------------------------------
 
 

@@ -15,7 +15,6 @@ from hallsym.simulation import (
     paper_campaign,
     simulate,
     simulate_blocks,
-    sine,
     table8_noise,
 )
 from hallsym.simulation import machine as simulation
@@ -176,13 +175,3 @@ def test_table_8_noise_leaves_table_8s_errors_with_the_true_parameters():
     }
     (table,) = error_tables(log, MODEL, [(p, zeros)], np.ones(3))
     assert np.allclose(list(table.over()["rmse"].values()), [1.3919e-6, 1.5381e-6, 2.3057e-6], rtol=0.02)
-
-
-def test_a_moving_vertical_state_is_recorded_and_acts_on_the_gain():
-    run = Run(1.0, {"z_m": 1e-4}, {"x_m": sine(3e-4, 1.0), "z_m": sine(1e-4, 2.0)}, (0.0, 0.0, 0.0))
-    columns = simulate(MODEL, TRUTH, Campaign(1e-2, (run,)), seed=0)
-    t = columns["t_s"]
-    z = 1e-4 + 1e-4 * np.sin(4 * np.pi * t)
-    assert np.allclose(columns["z_m"], z, rtol=1e-14)
-    lead = pm(TRUTH)[2, 0] * 3e-4 * np.sin(2 * np.pi * t)
-    assert np.allclose(columns["hall_c_m"], (0.8632 - 178.1902 * z) * lead, rtol=0, atol=1e-17)

@@ -76,20 +76,6 @@ def test_slopes_are_those_of_the_papers_equation_with_a_reset():
         assert np.allclose(found.parameters[0, :, k], (up - down) / (2 * step), rtol=1e-5, atol=1e-10), name
 
 
-def test_at_the_pose_of_the_zeroing_nothing_but_the_zeroing_counts():
-    """Parameters, vertical sensors and scale cancel; reading and zeroing noise weigh alike."""
-    budgets = position_budget(fitted(), ELSEWHERE, replace(EVERYTHING, averaged=50))
-    for budget in budgets.values():
-        part = {s.name: abs(s.contribution) for s in budget.sources}
-        for name in ("fit", "z sensor", "rx sensor", "ry sensor", "reference scale x"):
-            assert part[name] <= 1e-9 * budget.std, name
-        for channel in ("hall_a", "hall_b", "hall_c"):
-            assert part[f"{channel} noise"] == pytest.approx(part[f"zeroing: {channel} noise"], rel=1e-9)
-            assert part[f"{channel} ADC step"] == pytest.approx(
-                part[f"zeroing: {channel} ADC step"], rel=1e-9
-            )
-
-
 def test_the_scale_of_the_reference_counts_from_the_zeroing():
     found = position_budget(fitted(), SOMEWHERE, EVERYTHING)["x_m"]
     (scale,) = (s for s in found.sources if s.name == "reference scale x")
