@@ -1,7 +1,7 @@
 """What C is generated from: the printed expressions against the model, rounding, bounds, refusals, folders.
 
 Independent facts: the model's own decoded pose in double; weighted least squares by numpy; zlib's CRC-32;
-IEEE 754 by numpy's float32; interval bounds against random points.
+interval bounds against random points.
 """
 
 import hashlib

@@ -1,7 +1,6 @@
 """C for encoders: corrected angle from two voltages or from a decoded angle.
 
-Independent facts: the model's own readings at a known angle; a gain common to
-both plates leaves an angle alone; a wrap is a whole turn; the interval [-pi, pi]; a million samples.
+Independent facts: the model's own readings at a known angle; a common gain of both plates changes no angle.
 """
 
 from functools import cache

@@ -1,8 +1,7 @@
 """C for one decaying wave: place along an array and height over it, from sums of Hall sensors.
 
 Independent facts: the field's own equation at a known place and height (`waves`); the closed form of
-Maguire's thesis (2-16 to 2-20) where there is no fifth harmonic; numpy's arctangent and logarithm; the bits
-of a million samples; instructions counted one by one in QEMU.
+Maguire's thesis (2-16 to 2-20) where there is no fifth harmonic; numpy's arctangent and logarithm.
 """
 
 from functools import cache

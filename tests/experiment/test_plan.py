@@ -10,7 +10,7 @@ from twins import COLUMNS, SIGMAS, TRUTH, phi, pm, with_noise
 
 from hallsym.errors import InputError
 from hallsym.estimation.factors import summarise
-from hallsym.estimation.identifiable import determine, scales
+from hallsym.estimation.identifiable import determine
 from hallsym.estimation.likelihood import cost_of
 from hallsym.estimation.optimum import refit
 from hallsym.experiment import CRITERIA, paper_ranges, plan
@@ -83,20 +83,6 @@ def test_information_of_a_planned_run_is_what_a_second_derivation_gives(k):
         size = np.sqrt(np.diag(expected))
         size[size == 0] = 1.0
         assert np.abs((found - expected) / np.outer(size, size)).max() < 1e-5
-
-
-def test_information_of_a_long_recording_is_that_of_all_its_samples(monkeypatch):
-    """20 000 samples of whole periods, looked at in 512: sums over whole periods are the same."""
-    runs, p = TABLE6.runs[:6], MODEL.vector(TRUTH)
-    noise = {c: SIGMAS[c] for c in MODEL.channels}  # weights of noisy columns are means over some samples
-    cost, factor = planned_cost(runs, 5e-5, MODEL, TRUTH, noise)
-    assert cost.summary.counts[0] < 1000
-    monkeypatch.setattr("hallsym.experiment.study.LEAST", 10**9)
-    every, one = planned_cost(runs, 5e-5, MODEL, TRUTH, noise)
-    assert np.all(one == 1)
-    a, b = cost.at(p).information(0.0) * factor[:, None, None], every.at(p).information(0.0)
-    widths = np.outer(scales(MODEL), scales(MODEL))
-    assert np.abs(widths * (a - b)).max() < 1e-9 * np.abs(widths * b).max()
 
 
 # -- candidates ------------------------------------------------------------------------------------------

@@ -17,12 +17,6 @@ def test_one_point_in_every_slice_of_every_dimension(n, dim, seed):
     assert (np.sort(slices, axis=0) == np.arange(n)[:, None]).all()
 
 
-def test_hypercube_pairs_the_dimensions_at_random():
-    x = latin_hypercube(4000, np.zeros(3), np.ones(3), np.random.default_rng(0))
-    correlation = np.corrcoef(x.T)[~np.eye(3, dtype=bool)]
-    assert np.abs(correlation).max() < 5.0 / np.sqrt(4000)
-
-
 def valleys(x):
     """Three valleys on a line, ever deeper, the second variable fixed."""
     return np.cos(6.0 * np.pi * x[:, 0]) - x[:, 0]

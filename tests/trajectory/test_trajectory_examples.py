@@ -1,4 +1,4 @@
-"""Four paths within their tolerances: a spiral and a raster by points, a gear tooth and a Lissajous."""
+"""Two paths by points within their tolerances: a spiral and a raster."""
 
 from pathlib import Path
 
