@@ -15,7 +15,7 @@ from hallsym.estimation.likelihood import Cost
 from hallsym.estimation.optimum import refit
 from hallsym.inference.profiles import normal_enough, profile, skewness
 from hallsym.model import Model
-from hallsym.model.model import Quantity, combination, parameter
+from hallsym.model.model import Quantity, combination, linear, parameter
 
 MODEL = true_model()
 THRESHOLD = float(chi2.ppf(0.95, 1))
@@ -114,6 +114,26 @@ def test_a_parameter_at_its_bound_has_one_side():
     # with that parameter pinned another one is not bounded, and its profile may leave the bound
     other = profile(cost, q, parameter(tight, "a_A"), found=found)
     assert other.ok
+
+
+def test_bounds_of_other_parameters_leave_a_profile_open():
+    _, p, found, e = paper()
+    a, b = (MODEL.names.index(n) for n in ("eta_A", "eta_B"))
+    near = {
+        MODEL.names[k]: {"nominal": p[k], "lower": p[k] - 0.2 * e.std[k], "upper": p[k] + 0.2 * e.std[k]}
+        for k in (a, b)
+    }
+    boxed = MODEL.with_parameters(near)
+    gradient = np.zeros(len(p))
+    gradient[[a, b]] = 1.0
+    cost = replace(paper()[0], anchor=None)
+    summary = replace(cost.summary, features=replace(cost.summary.features, model=boxed))
+    cost = replace(cost, summary=summary)
+    got = profile(cost, p, linear(boxed, gradient, "1"), found=found)
+    assert (got.lower.status, got.upper.status) == ("open", "open")
+    assert got.upper.value == pytest.approx(p[a] + p[b] + 0.2 * (e.std[a] + e.std[b]), rel=1e-9)
+    assert "bounds of other parameters" in got.upper.reason
+    assert not got.ok
 
 
 def test_a_profile_that_breaks_is_failed_with_a_reason():

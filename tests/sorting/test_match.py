@@ -7,6 +7,7 @@ import pytest
 
 import hallsym
 from hallsym.errors import InputError
+from hallsym.model import on_arrays
 from hallsym.sorting import match_sensors, sort_sensors
 from hallsym.sorting.influence import influence_of_gains, is_symmetric, without_common
 from hallsym.uncertainty.tolerances import Workspace
@@ -37,6 +38,22 @@ def test_the_form_is_the_decoders_own_error(model):
     assert np.abs(decoded - predicted).max() < 1e-4 * np.abs(predicted).max()
     assert np.mean(np.sum((predicted * influence.weights[:, None]) ** 2, axis=0)) == pytest.approx(
         d @ influence.square @ d
+    )
+
+
+@pytest.mark.parametrize("model", [m for m in MODELS if m.name != "halbach_planar"], ids=lambda m: m.name)
+def test_what_a_gain_multiplies_is_what_its_parameters_do(model):
+    """A machine whose gain parameters of a channel are 1 % larger reads what the influence says."""
+    names = {"array_2dof": ("g1",), "rotary": ("Ax",)}.get(model.name, ("eta_B", "a_B", "b_B", "c_B"))
+    influence = influence_of_gains(model)
+    machine = influence.values.copy()
+    for name in names:
+        machine[model.names.index(name)] *= 1.01
+    (read,) = on_arrays(model.reading)(
+        machine, np.zeros(len(model.offsets)), influence.where.pose, influence.where.state
+    )
+    np.testing.assert_allclose(
+        read[1] - influence.reading[1], 0.01 * influence.part[1], atol=1e-12 * np.abs(read).max()
     )
 
 

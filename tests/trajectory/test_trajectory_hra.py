@@ -80,6 +80,20 @@ def test_least_squares(columns, more, closed, seed):
         assert relative(q.solve(p), pseudo * mpmath.matrix(p.tolist())) < 1e-11
 
 
+def test_r_has_full_accuracy_where_householder_loses_half_the_digits():
+    n = 26
+    t = np.arange(1, 31) / 31
+    a = exact(BERNSTEIN, t, n - 1)
+    with mpmath.workdps(60):
+        _, r = mpmath.qr(a, mode="skinny")
+        true = [abs(r[k, k]) for k in range(n)]
+    q = orthogonalise(factorise(BERNSTEIN, t, n))
+    ours = np.ldexp(q.pivot, q.exponent)
+    assert max(abs(x / y - 1) for x, y in zip(ours, true, strict=True)) < 1e-13
+    lapack = np.abs(np.diag(np.linalg.qr(np.array(a.tolist(), float))[1]))
+    assert max(abs(x / y - 1) for x, y in zip(lapack, true, strict=True)) > 1e-9
+
+
 def test_a_thousand_control_points_neither_overflow_nor_underflow():
     for t in (np.linspace(0, 1, 1000), chebyshev_nodes(1000)):
         factors = factorise(BERNSTEIN, t)
