@@ -36,10 +36,11 @@ def results(columns: dict[str, np.ndarray], fit: hallsym.Fit) -> dict[str, Any]:
         "Identifiability": hallsym.identify(fit, profiles="none"),
         "Plan": hallsym.plan(ranges, "stage31", values, fit.noise.std, runs=6),
         "Budget": hallsym.position_budget(fit)["x_m"],
+        "ErrorModel": hallsym.error_model(fit.model, {"H1x": 0.2}, over=("x_m", -1e-3, 1e-3)),
     }
 
 
-KINDS = ("Fit", "Evaluation", "Diagnosis", "Identifiability", "Plan", "Budget")
+KINDS = ("Fit", "Evaluation", "Diagnosis", "Identifiability", "Plan", "Budget", "ErrorModel")
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -52,7 +53,7 @@ def test_a_result_shows_itself_in_every_form(results: dict[str, Any], kind: str,
     assert len(result.summary().split("\n")) >= 3
     frame = result.to_dataframe()
     assert len(frame) > 0
-    assert frame.columns[0] in ("parameter", "run", "effect", "runs", "source")
+    assert frame.columns[0] in ("parameter", "run", "effect", "runs", "source", "x_m")
     figure = result.plot()
     assert isinstance(figure, Figure)
     figure.savefig(tmp_path / "a.png")

@@ -72,8 +72,7 @@ def run(options: Namespace) -> int:
     if options.output:
         save_table(options.output, found, matching)
     record = found.to_dict() | ({"matching": matching.to_dict()} if matching else {})
-    notes = [*found.notes, *(matching.notes if matching else ())]
-    say(options, record, lambda: sorting_content(found, matching), notes=notes, wrote=[options.output])
+    say(options, record, lambda: sorting_content(found, matching), wrote=[options.output])
     return OK
 
 

@@ -186,7 +186,7 @@ def _row(result: SelfFit, left: float | None, middle: float, spread: float) -> d
     if left is not None and left > middle + OUTLYING * spread:
         verdict = AMISS
         reason = (
-            f"it does not repeat: its last turn is off by {left * degrees:.2f} electrical deg, the median "
+            f"It does not repeat: its last turn is off by {left * degrees:.2f} electrical deg, the median "
             f"ring's by {middle * degrees:.2f}."
         )
     elif result.open:

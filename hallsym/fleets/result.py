@@ -108,13 +108,13 @@ class Fleet(Shown):
                     usual = self.model.name if self.model else None
                     other = row.get("model", usual) != usual
                     known = row.get("diagnosis_reason") if row.get("causes") else row.get("reason")
-                    why = f"of model {row['model']}, not {usual}" if other else known
-                    out[str(row["device"])] = f"{verdict}: {why}"
+                    why = f"Its model is {row['model']}, not {usual}." if other else str(known)
+                    out[str(row["device"])] = why
         for spread in self.spreads:
             for device, score in sorted(spread.outlying.items(), key=lambda item: -abs(item[1])):
                 side = "above" if score > 0 else "below"
                 far = f"{spread.name} is {abs(score):.1f} standard deviations {side} the others"
-                out[device] = f"{out[device]}; {far}" if device in out else far
+                out[device] = f"{out[device].removesuffix('.')}; {far}" if device in out else far
         return out
 
     @cached_property

@@ -26,6 +26,7 @@ from hallsym.model import Effect, Model
 from hallsym.power.injection import Injection, generator, injections, sized
 from hallsym.power.simulated_machine import decimated, machine_of, simulated_noise
 from hallsym.records import builtins
+from hallsym.shown import Shown
 
 NO_EFFECT = "no effect"
 """Name of a trial without an injection."""
@@ -114,8 +115,8 @@ class Findable:
     trials: tuple[Trial, ...] = ()
 
 
-@dataclass(frozen=True)
-class DetectionPower:
+@dataclass(frozen=True, repr=False)
+class DetectionPower(Shown):
     """Result of `detection_power`; `complete` is False where an interrupt ended it early.
 
     `outputs`: names of the pose. `false_alarm_rate`: `found` is the share of logs without an effect in which

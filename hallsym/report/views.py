@@ -113,6 +113,7 @@ _CONTENTS = {
     "Tolerances": "tolerances.tolerances_content",
     "ErrorModel": "tolerances.errors_content",
     "DetectionPower": "power.power_content",
+    "Sorting": "sorting.sorting_content",
 }
 """Maker of the content of each kind; its module is loaded when one is shown."""
 

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from hallsym.errors import InputError, require
+from hallsym.shown import Shown
 from hallsym.sorting.bins import bins_of, change_probability, wrong_probability
 from hallsym.sorting.readings import Readings, read_readings, readings_from
 from hallsym.units import Array
@@ -54,8 +55,8 @@ class Repeats:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class Sorting:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sorting(Shown):
     """Sorted sensors, all of shape (n,), and properties of the bench.
 
     `gain` [`unit`] and `offset` [`reading_unit`], `std` of the gain [`unit`] of `dof` degrees of freedom

@@ -12,6 +12,7 @@ from hallsym.families import effect_named
 from hallsym.families import plain as without_effects
 from hallsym.log.phase import near
 from hallsym.model import Model, on_arrays
+from hallsym.shown import Shown
 from hallsym.uncertainty.position import place
 
 LEAST_SQUARES, CLOSED_FORM = "least-squares", "closed-form"
@@ -148,8 +149,8 @@ def _waves(error: np.ndarray) -> int:
     return int(spectrum.argmax()) if 2 * spectrum.max() > NOTHING else 0
 
 
-@dataclass(frozen=True, eq=False)
-class ErrorModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class ErrorModel(Shown):
     """Errors along a coordinate by cause: `causes` (name, values, errors), each alone, then all together."""
 
     model: Model

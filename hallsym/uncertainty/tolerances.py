@@ -17,6 +17,7 @@ import numpy as np
 from hallsym.errors import InputError, require
 from hallsym.model import Model
 from hallsym.records import named
+from hallsym.shown import Shown
 from hallsym.simulation import Campaign, Run, paper_campaign
 from hallsym.uncertainty.along import Errors, decoding_errors
 from hallsym.uncertainty.ranges import USUAL, Tolerance, default_tolerances, given_tolerances
@@ -108,8 +109,8 @@ class Worth:
     exact_half: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class Tolerances:
+@dataclass(frozen=True, eq=False, repr=False)
+class Tolerances(Shown):
     """Result of `tolerances`. Arrays have one row per entry of `active`, the tolerances that are not exact.
 
     `indices`: pose column -> Sobol indices of the error, averaged over the workspace.

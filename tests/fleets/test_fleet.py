@@ -112,7 +112,8 @@ def test_table_page_and_files_for_the_next_batch(broken, tmp_path, capsys):
     ])  # fmt: skip
     assert code == 3
     text = capsys.readouterr().out
-    assert re.search(r"dev7 +failed: ", text)
+    assert re.search(r"failed +1\b", text)
+    assert re.search(r"dev7 +\S", text)
     assert "spread (1 sigma)" in text
     page = files[0].read_text()
     assert page.count("<svg") == 2 * len(load_fleet(files[3]).spreads)
@@ -331,7 +332,7 @@ def test_a_log_of_another_model_is_a_row_that_says_so(broken, tmp_path):
     (other / "meta.json").write_text('{"base_model": "rotary_meng"}')
     found = hallsym.fleet([folder / "dev0.parquet", folder / "dev1.parquet", other], workers=1)
     assert found.model.name == "rotary"
-    assert found.outlying == {"odd": "not described: of model rotary_meng, not rotary"}
+    assert found.outlying == {"odd": "Its model is rotary_meng, not rotary."}
     assert found.good.tolist() == [True, True, False]
     assert found.spreads == ()  # of two devices
 

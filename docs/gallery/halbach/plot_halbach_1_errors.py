@@ -7,8 +7,6 @@ a wavelength and a whole one.
 """
 
 import hallsym
-from hallsym.report.drawing import draw
-from hallsym.report.results.tolerances import errors_along
 
 model = hallsym.build("halbach", added=("gain_mismatch", "offset_error"))
-figure = draw(errors_along(hallsym.error_model(model, {"gain_0": 0.01, "offset_error_0": 5e-3})))
+figure = hallsym.error_model(model, {"gain_0": 0.01, "offset_error_0": 5e-3}).plot()

@@ -40,6 +40,7 @@ def power_content(s: DetectionPower) -> Content:
         f"Detection power of a diagnosis with {s.model}",
         f"A diagnosis of this log would find {seen} of {counted(len(tested), 'effect')}; {quietly}.",
         [Section("power", "Effects", [*parts, *(f"note: {note}" for note in s.notes)])],
+        columns={key: [getattr(e, key) for e in s.effects] for key in ("name", "status", "ratio", "gap_m")},
     )
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -31,16 +32,26 @@ def sorting_content(found: Sorting, matching: Matching | None = None) -> Content
         f" {_percent(float(np.median(found.std)) / found.nominal)}"
     )
     wrong = f"in a wrong bin: {expected:.0f} +- {spread:.0f} (1 sigma) sensors expected ({share})"
+    notes = [f"note: {note}" for note in (*found.notes, *(matching.notes if matching else ()))]
     return Content(
         f"Sensors of {found.source}",
         f"{found.source}: {sensors} sorted into {counted(len(found.bins), 'bin')}"
         + (f"; {_chosen(matching)}." if matching else "."),
         [
             Section("bins", "Bins", [*bin_blocks(found), wrong, *_bench(found)]),
-            Section("sets", "Sets", matching_blocks(matching) if matching else []),
+            Section("sets", "Sets", [*(matching_blocks(matching) if matching else []), *notes]),
         ],
         [gains],
+        columns=_columns(found),
     )
+
+
+def _columns(found: Sorting) -> dict[str, Any]:
+    """Return what is known of each sensor, in the units of its gain and readings."""
+    return {
+        "sensor": found.sensors, "gain": found.gain, "gain_std": found.std, "offset": found.offset,
+        "bin": found.bin, "wrong_bin_probability": found.wrong,
+    }  # fmt: skip
 
 
 def bin_blocks(found: Sorting) -> list[Block | str]:
@@ -138,10 +149,9 @@ def save_table(path: str, found: Sorting, matching: Matching | None = None) -> N
     if matching:
         for j, row in enumerate(matching.matched.sets.tolist()):
             place |= {i: (j + 1, where) for i, where in zip(row, matching.places, strict=True)}
-    head = ("sensor", "gain", "gain_std", "offset", "bin", "wrong_bin_probability")
-    rows = [[*head, *(("set", "place") if matching else ())]]
-    columns = found.sensors, found.gain, found.std, found.offset, found.bin, found.wrong
-    for i, (sensor, gain, std, offset, k, wrong) in enumerate(zip(*columns, strict=True)):
+    columns = _columns(found)
+    rows = [[*columns, *(("set", "place") if matching else ())]]
+    for i, (sensor, gain, std, offset, k, wrong) in enumerate(zip(*columns.values(), strict=True)):
         cells = [sensor, f"{gain:.9g}", f"{std:.3g}", f"{offset:.9g}", k, f"{wrong:.4f}"]
         rows.append([*cells, *(place.get(i, ("", "")) if matching else ())])
     atomic_write(path, csv_text(rows))

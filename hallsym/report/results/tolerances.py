@@ -6,6 +6,7 @@ from itertools import cycle
 import numpy as np
 
 from hallsym.output import percent
+from hallsym.records import named
 from hallsym.report import picture as p
 from hallsym.report.content import Block, Content, Section, Table
 from hallsym.report.results.shared import few
@@ -34,6 +35,7 @@ def tolerances_content(found: Tolerances) -> Content:
             ]),
         ],
         [basis, error_table(found)],
+        columns={"tolerance": found.active, **named(found.model.pose, found.worth.exact.T)},
     )  # fmt: skip
 
 
@@ -145,6 +147,9 @@ def errors_content(found: ErrorModel) -> Content:
         f"The largest error over {moving} is {each(sizes, found.model.period)} ({cause}).",
         [Section("waves", "Waves", _waves(found))],
         [_along_head(found), along_table(found)],
+        columns={found.coordinate: errors.at}
+        | {f"{cause}: {c}": e.error[k] for cause, _, e in found.causes for k, c in enumerate(sizes)},
+        picture=lambda log: errors_along(found),
     )
 
 
