@@ -14,6 +14,7 @@ from hallsym.errors import InputError, require
 from hallsym.estimation import load_fit
 from hallsym.families import build
 from hallsym.families.machine_file import read_machine
+from hallsym.files import write_json
 from hallsym.log import Foreign, parse_column_option
 from hallsym.records import named
 from hallsym.report.results.sorting import save_table, sorting_content
@@ -69,9 +70,11 @@ def run(options: Namespace) -> int:
         repeatability=None if options.repeatability is None else options.repeatability / 100,
     )
     matching = _matching(options, found) if options.model else None
-    if options.output:
-        save_table(options.output, found, matching)
     record = found.to_dict() | ({"matching": matching.to_dict()} if matching else {})
+    if options.output and Path(options.output).suffix == ".json":
+        write_json(options.output, record)
+    elif options.output:
+        save_table(options.output, found, matching)
     say(options, record, lambda: sorting_content(found, matching), wrote=[options.output])
     return OK
 

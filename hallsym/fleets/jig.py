@@ -182,12 +182,11 @@ def _row(result: SelfFit, left: float | None, middle: float, spread: float) -> d
     """What the table of devices keeps of a ring."""
     fit, found = result.fit, result.found
     verdict, reason = GOOD, ""
-    degrees = np.degrees(1.0)
     if left is not None and left > middle + OUTLYING * spread:
         verdict = AMISS
         reason = (
-            f"It does not repeat: its last turn is off by {left * degrees:.2f} electrical deg, the median "
-            f"ring's by {middle * degrees:.2f}."
+            f"It does not repeat: its last turn is off by {np.degrees(left):.2f} electrical deg, "
+            f"the median ring's by {np.degrees(middle):.2f}."
         )
     elif result.open:
         verdict, reason = UNDETERMINED, result.sentence

@@ -94,7 +94,7 @@ def _pictured(said: Content) -> Content:
         return said
     panels = [replace(panel, beside=()) for panel in picture.panels]  # words of the table
     shown = Section("picture", "Picture", [replace(picture, panels=panels)])
-    notes = [section for section in said.sections if section.ident == "notes"]
+    notes = [section for section in said.sections if section.ident in ("notes", "origin")]
     others = [section for section in said.sections if section not in notes]
     return replace(said, sections=[*others, shown, *notes])
 

@@ -112,13 +112,19 @@ class Sorting(Shown):
         found, counts = np.unique(self.bin, return_counts=True)
         return dict(zip(found.tolist(), counts.tolist(), strict=True))
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the record as plain data: every sensor, bins, drift, repeats."""
+    @property
+    def columns(self) -> dict[str, list[Any]]:
+        """The table of the sensors by columns."""
         columns = {
             "sensor": np.array(self.sensors), "gain": self.gain, "gain_std": self.std, "offset": self.offset,
             "relative": self.relative, "bin": self.bin, "wrong_bin_probability": self.wrong,
             "measurements": self.measurements,
         }  # fmt: skip
+        return {name: values.tolist() for name, values in columns.items()}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record as plain data: every sensor, bins, drift, repeats."""
+        columns = self.columns
         r, repeats = self.repeats, None
         if r is not None:
             changes = [
@@ -136,10 +142,7 @@ class Sorting(Shown):
             "repeatability": self.repeatability,
             "degrees_of_freedom": self.dof if np.isfinite(self.dof) else None,
             "drift_span": None if self.drift is None else float(np.ptp(self.drift)),
-            "sensors": [
-                dict(zip(columns, row, strict=True))
-                for row in zip(*(c.tolist() for c in columns.values()), strict=True)
-            ],
+            "sensors": [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)],
             "bins": [{"bin": k, "centre": 1 + k * self.width, "sensors": n} for k, n in self.bins.items()],
             "expected_wrong": dict(zip(("number", "std"), self.expected_wrong, strict=True)),
             "repeats": repeats,

@@ -221,13 +221,9 @@ def _waves(d: Diagnosis, coordinate: str) -> list[Block | str]:
         found = [e.name for e in d.effects if e.name in w.causes]
         sizes = ["" if a is None else number(factor * a) for a in (w.designed, w.model, w.after)]
         rows.append([str(w.per_turn), *sizes, ", ".join(found), ", ".join(w.causes)])
-    lost = f" (none: {NOT_DECODED})" if any(w.designed is None for w in mine) else ""
-    caption = (
-        f"amplitude of the error over all runs: of the nominal sensor with only its offsets fitted{lost}, "
-        "of the model, and with the effects found"
-    )
+    caption = "amplitude of the error over all runs; nominal: with only the offsets fitted"
     blocks: list[Block | str] = [Table(head, rows, caption, wordy=(4, 5))]
-    if lost:
+    if any(w.designed is None for w in mine):
         blocks.append(f"No nominal waves: {NOT_DECODED}.")
     most = max(mine, key=lambda w: w.designed or 0.0)
     if most.designed and most.absorbed and most.causes:
@@ -352,7 +348,7 @@ def _rest_section(d: Diagnosis) -> Section:
     if d.remaining and d.remaining != d.where:
         said += _statements(d.remaining, "where the unexplained rest lies")
     elif d.remaining:
-        said.append(Note("It lies where the gap lies, see above."))
+        said.append(Note("Its places are those of the gap, above."))
     elif rest:
         said.append("It significantly goes with no sensor, coordinate or frequency.")
     if rest and rest.curve:

@@ -82,8 +82,7 @@ def verdict(fit: Fit) -> str:
 
 def amiss(fit: Fit) -> bool:
     """Return whether a calibration needs checking before use."""
-    described = fit.goodness is None or fit.goodness.sentence is None
-    return not described or fit.status != "converged" or bool(fit.claims)
+    return bool(fit.goodness and fit.goodness.sentence) or fit.status != "converged" or bool(fit.claims)
 
 
 def basis(fit: Fit) -> str:
@@ -254,7 +253,7 @@ def page_content(log: Log, fit: Fit, *, command: str = "", calibration: str = "c
         said,
         title=f"Calibration of {fit.model.name}: {shared.called(log.path)}",
         answer=answer,
-        word="Not at the noise floor." if said.state == "bad" else "At the noise floor.",
+        word="Not at the noise floor." if fit.goodness and fit.goodness.sentence else "At the noise floor.",
         why=why,
         command=next_command,
         first=[

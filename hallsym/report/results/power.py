@@ -29,12 +29,9 @@ def power_content(s: DetectionPower) -> Content:
     ]
     if tested:
         parts += [_table(s, tested), *_legend(s)]
-    hidden = [e for e in s.effects if e.status == "not testable"]
-    if hidden:
-        parts += [f"not testable: {e.name}: {e.reason}" for e in hidden]
+    parts += [f"not testable: {e.name}: {e.reason}" for e in s.effects if e.status == "not testable"]
     undone = [e.name for e in s.effects if e.status == "not run"]
-    if undone:
-        parts.append("not run: " + few(undone))
+    parts += ["not run: " + few(undone)] if undone else []
     quietly = f"{s.false_alarms} of {quiet} logs without an effect give a false alarm"
     return Content(
         f"Detection power of a diagnosis with {s.model}",

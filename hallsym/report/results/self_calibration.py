@@ -147,8 +147,7 @@ def turns_content(found: TurnPlan) -> Content:
                 blocks.append(f"{target} deg needs {counted(found.turns, 'turn')}, and one to judge it.")
             else:
                 answer = f"{_out_of_reach(found, target)} {answer}"
-    columns = {"wave_per_turn": range(1, len(found.seen) + 1), "seen": found.seen}
-    return Content("Plan of turns", answer, [Section("turns", "Turns", blocks)], columns=columns)
+    return Content("Plan of turns", answer, [Section("turns", "Turns", blocks)])
 
 
 def _out_of_reach(found: TurnPlan, target: str) -> str:

@@ -1,13 +1,11 @@
 """Report of sorted sensors and of the sets chosen for arrays, and their tables as files."""
 
 from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from hallsym.errors import counted
-from hallsym.files import atomic_write, write_json
+from hallsym.files import atomic_write
 from hallsym.output import csv_text, percent
 from hallsym.report.content import Block, Content, Section, Table
 from hallsym.report.results.shared import few
@@ -29,7 +27,7 @@ def sorting_content(found: Sorting, matching: Matching | None = None) -> Content
         f"gain: median {number(np.median(found.gain), 6)} {found.unit}, from"
         f" {100 * (found.relative.min() - 1):+.3g} to {100 * (found.relative.max() - 1):+.3g} % of"
         f" {number(found.nominal, 6)}; standard uncertainty (1 sigma) of one"
-        f" {_percent(float(np.median(found.std)) / found.nominal)}"
+        f" {number(100 * float(np.median(found.std)) / found.nominal, 2)} %"
     )
     wrong = f"in a wrong bin: {expected:.0f} +- {spread:.0f} (1 sigma) sensors expected ({share})"
     notes = [f"note: {note}" for note in (*found.notes, *(matching.notes if matching else ()))]
@@ -42,42 +40,33 @@ def sorting_content(found: Sorting, matching: Matching | None = None) -> Content
             Section("sets", "Sets", [*(matching_blocks(matching) if matching else []), *notes]),
         ],
         [gains],
-        columns=_columns(found),
+        columns=found.columns,
     )
 
 
-def _columns(found: Sorting) -> dict[str, Any]:
-    """Return what is known of each sensor, in the units of its gain and readings."""
-    return {
-        "sensor": found.sensors, "gain": found.gain, "gain_std": found.std, "offset": found.offset,
-        "bin": found.bin, "wrong_bin_probability": found.wrong,
-    }  # fmt: skip
-
-
-def bin_blocks(found: Sorting) -> list[Block | str]:
-    """Return the bins with what is in them; the fullest where there are many."""
+def bin_blocks(found: Sorting) -> Iterator[Block | str]:
+    """Yield the bins with what is in them; the fullest where there are many."""
     items = sorted(found.bins.items(), key=lambda item: -item[1])[:MOST_BINS]
     rows = []
     for k, n in sorted(items):
         middle, half = 100 * k * found.width, 50 * found.width
         ends = f"{middle - half:+.3g} to {middle + half:+.3g}"
         rows.append([_change(k), ends, str(n), f"{found.wrong[found.bin == k].sum():.1f}"])
-    rest = len(found.bins) - len(items)
-    table = Table(["bin", "gain [%]", "sensors", "wrong, expected"], rows, "bins")
-    return [table, *([f"and {counted(rest, 'bin')} with fewer sensors"] if rest > 0 else [])]
+    yield Table(["bin", "gain [%]", "sensors", "wrong, expected"], rows, "bins")
+    if len(found.bins) > MOST_BINS:
+        yield f"and {counted(len(found.bins) - MOST_BINS, 'bin')} with fewer sensors"
 
 
 def _bench(found: Sorting) -> Iterator[Block | str]:
     if found.drift is not None:
-        yield f"drift: {_percent(float(np.ptp(found.drift)))} in all, taken out by the reference sensor"
+        yield f"drift: {number(100 * np.ptp(found.drift), 2)} % in all, taken out by the reference sensor"
     if r := found.repeats:
         yield (
-            f"repeatability (1 sigma): {_percent(found.repeatability)} of one measurement;"
+            f"repeatability (1 sigma): {number(100 * found.repeatability, 2)} % of one measurement;"
             f" {counted(len(r.first), 'sensor')} measured again, {100 * r.drift:+.3f} % on average"
         )
-        rows = []
-        for k, (n, e) in r.changes(found.width).items():
-            rows.append([_change(k), str(n), f"{e:.1f}" if np.isfinite(e) else ""])
+        changes = r.changes(found.width).items()
+        rows = [[_change(k), str(n), f"{e:.1f}" if np.isfinite(e) else ""] for k, (n, e) in changes]
         yield Table(["change of bin", "sensors", "expected"], rows, "changes of bin")
     if found.unsorted:
         yield f"not read in two fields, and not sorted: {few(found.unsorted)}"
@@ -93,7 +82,7 @@ def matching_blocks(found: Matching) -> list[Block | str]:
         f"sets of {len(found.places)} for {found.model.name}, whose decoder knows the common gain{best}",
         way_table(found),
         f"the uncertainty of the gains alone makes {number(found.floor * factor)} {unit} rms; {beside}",
-        *set_blocks(found),
+        *_first_sets(found),
     ]
 
 
@@ -124,8 +113,7 @@ def way_table(found: Matching) -> Table:
     return Table(head, rows, "errors by way of choosing")
 
 
-def set_blocks(found: Matching) -> list[Block | str]:
-    """Return the first sets: sensor by place, common gain and rms error."""
+def _first_sets(found: Matching) -> Iterator[Block | str]:
     way = found.matched
     factor, unit = _unit(found, float(way.rms.max()))
     places = found.places[:6]
@@ -134,35 +122,24 @@ def set_blocks(found: Matching) -> list[Block | str]:
     for j, (row, gain, rms) in enumerate(zip(way.sets[:MOST_SETS].tolist(), way.gain, way.rms, strict=False)):
         names = [found.sensors[i] for i in row[: len(places)]]
         rows.append([str(j + 1), *names, *more, f"{gain:.4f}", number(rms * factor)])
-    rest = len(way.sets) - MOST_SETS
-    more = [f"and {counted(rest, 'set')} more; -o FILE.csv lists all"] if rest > 0 else []
-    return [Table(head, rows, "the first sets"), *more]
+    yield Table(head, rows, "the first sets")
+    if len(way.sets) > MOST_SETS:
+        yield f"and {counted(len(way.sets) - MOST_SETS, 'set')} more; -o FILE.csv lists all"
 
 
 def save_table(path: str, found: Sorting, matching: Matching | None = None) -> None:
-    """Write every sensor with gain, bin and, where sets were chosen, set and place; JSON holds everything."""
-    if Path(path).suffix == ".json":
-        record = found.to_dict() | ({"matching": matching.to_dict()} if matching else {})
-        write_json(path, record)
-        return
-    place: dict[int, tuple[int, str]] = {}
+    """Write every sensor with gain, bin and, where sets were chosen, set and place, as CSV."""
+    columns = found.columns
     if matching:
+        columns |= {"set": [""] * len(found.sensors), "place": [""] * len(found.sensors)}
         for j, row in enumerate(matching.matched.sets.tolist()):
-            place |= {i: (j + 1, where) for i, where in zip(row, matching.places, strict=True)}
-    columns = _columns(found)
-    rows = [[*columns, *(("set", "place") if matching else ())]]
-    for i, (sensor, gain, std, offset, k, wrong) in enumerate(zip(*columns.values(), strict=True)):
-        cells = [sensor, f"{gain:.9g}", f"{std:.3g}", f"{offset:.9g}", k, f"{wrong:.4f}"]
-        rows.append([*cells, *(place.get(i, ("", "")) if matching else ())])
-    atomic_write(path, csv_text(rows))
+            for i, where in zip(row, matching.places, strict=True):
+                columns["set"][i], columns["place"][i] = j + 1, where
+    atomic_write(path, csv_text([[*columns], *zip(*columns.values(), strict=True)]))
 
 
 def _change(bins: int) -> str:
     return f"{bins:+d}" if bins else "0"
-
-
-def _percent(value: float) -> str:
-    return f"{number(100 * value, 2)} %"
 
 
 def _unit(found: Matching, largest: float) -> tuple[float, str]:
