@@ -15,6 +15,7 @@ from twins import Chopped, record, with_noise
 from hallsym import load_fit, write_log
 from hallsym.cli.main import main
 from hallsym.estimation import Fit, fit
+from hallsym.estimation.calibration import Claim
 from hallsym.estimation.prediction import Decoder
 from hallsym.log import Log, read_log
 from hallsym.report.content import document
@@ -191,6 +192,13 @@ def test_a_page_reads_a_log_without_the_mistakes_that_its_fit_undid():
     ]
     assert len(sizes) == 6  # in the first view, and to zoom
     assert max(sizes) < 20
+
+
+def test_the_card_says_the_claims_of_a_fit(fitted: Fit, log: Log):
+    claimed = fitted.changed(claims=(Claim("sign", "hall_a_m is inverted."),))
+    said = page_content(log, claimed)
+    assert said.state == "bad"
+    assert "Claim: hall_a_m is inverted." in said.answer
 
 
 def test_another_log_is_named_as_such_and_gets_its_own_zeros(fitted: Fit, log: Log):

@@ -246,7 +246,8 @@ def page_content(log: Log, fit: Fit, *, command: str = "", calibration: str = "c
     said = fit_content(fit)
     notes = [*circumstances(fit), *_notes(log, fit, found, same)]
     described = verdict(fit).partition("; next: ")[0].rstrip(".")  # the card has the next command
-    answer = " ".join([f"{described}.", *_identifiable(fit)])
+    claims = [f"Claim: {one.text}" for one in fit.claims]
+    answer = " ".join([f"{described}.", *claims, *_identifiable(fit)])
     origin = LogRecord(str(log.path) if log.path else None, log.sha256)
     why, next_command = _next(fit, calibration)
     return replace(
