@@ -28,6 +28,7 @@ from hallsym.families.stage.models import (
     vertical_coupling,
 )
 from hallsym.log import Log, Meta
+from hallsym.model import on_arrays
 from hallsym.simulation import Campaign, paper_campaign, simulate, table8_noise
 
 ROUNDINGS = 16 * EPS
@@ -270,3 +271,25 @@ def test_designed_values_leave_the_articles_errors_at_both_ends_of_z():
     found = {row: list(entry.values()) for row, entry in table.over().items()}
     assert np.allclose(found["rmse"], [35e-6, 45e-6, 87e-6], rtol=0.03)
     assert np.allclose(found["peak"], [82e-6, 130e-6, 224e-6], rtol=0.03)
+
+
+@pytest.mark.parametrize(
+    ("name", "response"),
+    [("time_skew", lambda x: np.exp(-1j * x)), ("first_order_lag", lambda x: 1 / (1 + 1j * x))],
+)
+def test_late_readings_of_a_fast_tone_have_the_exact_phase_and_size(name, response):
+    """At tau times angular frequency of .3 the series of the low-pass is off by .3^7 of the stroke."""
+    share, rate = 0.3, 2 * np.pi * 20
+    late, model = (build("stage30", added=added) for added in ((name,), ()))
+    tone = 1e-4 * np.exp(1j * np.linspace(0, 2 * np.pi, 50))
+
+    def read(wide, values, moved):
+        rates = [((1j * rate) ** n * tone).real for n in range(1, 7)]
+        known = {f"d{n}_x_ref_m": v for n, v in enumerate(rates, start=1)}
+        state = [known.get(c, 0 * tone.real) for c in wide.state]
+        still = 0 * tone.real
+        return on_arrays(wide.reading)(values, [0.0] * 3, [moved.real, still, still], state)[0]
+
+    values = late.vector({f"tau_{name}": share / rate})
+    exact = read(model, model.nominal, response(share) * tone)
+    assert np.abs(read(late, values, tone) - exact).max() < 1.1 * share**7 * np.abs(exact).max()
