@@ -16,11 +16,15 @@ LARGER: Final = "noise larger than stated"
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter: value and standard uncertainty in SI; None where there is none to give."""
+    """A parameter: value and standard uncertainty in SI; None where there is none to give.
+
+    `interval`: 95 %, by Student's t where the noise is estimated from few samples or runs.
+    """
 
     value: float
     std: float | None
     unit: str
+    interval: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)

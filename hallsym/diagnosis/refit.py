@@ -122,19 +122,25 @@ class Refitted:
         """Which of the free parameters have an uncertainty: those that are seen and at no bound."""
         return np.flatnonzero(~np.isin(self.base.free, (*self.at_bound(), *self.unseen())))
 
-    def covariance(self) -> np.ndarray:
-        """Covariance of all parameters, as of a fit; 0 where fixed, unseen or at a bound."""
+    def uncertainty(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the covariance (n, n) of all parameters, as of a fit, and the degrees of freedom (n,) of it.
+
+        0 where fixed, unseen or at a bound, with infinite ones.
+        """
         moving, units = self._moving, self.tangents.likelihood[self.fitted]
         free = np.array(self.base.free, dtype=int)[moving]
         octaves = Octaves.of(self._pieces(), offsets=len(self.base.model.offsets))
         known = None if octaves.white else octaves.reduced(np.eye(len(self.base.free))[:, moving])
-        size = self.variance(1.0)
-        found = estimated(units[:, moving[:, None], moving], units[:, moving, -1], White(size, size), known)
-        full = np.zeros((len(self.base.p),) * 2)
+        size, runs = self.variance(1.0), {run for unit in self.fitted for run in self.tangents.runs[unit]}
+        left = self.readings - len(free) - len(runs) * len(self.base.model.offsets)
+        white = White(size, size, max(left, 1.0))
+        found = estimated(units[:, moving[:, None], moving], units[:, moving, -1], white, known)
+        full, dof = np.zeros((len(self.base.p),) * 2), np.full(len(self.base.p), np.inf)
         full[np.ix_(free, free)] = found.covariance
         along, rows = self._gauge(units[:, moving[:, None], moving].sum(axis=0), free)
         within = np.eye(len(full)) - along @ rows
-        return np.asarray(within @ full @ within.T)
+        dof[free] = found.dof(within[np.ix_(free, free)])
+        return np.asarray(within @ full @ within.T), dof
 
     def _pieces(self) -> Iterator[tuple[Batch, np.ndarray]]:
         """Yield the fitted runs in pieces, with the whitened columns of each, see `Columns.columns`."""

@@ -45,6 +45,7 @@ from hallsym.diagnosis.validation import (
 )
 from hallsym.diagnosis.words import SHOWN, gap_text, gap_unit, noise_text
 from hallsym.errors import counted, listed
+from hallsym.estimation.calibration import coverage_factor
 from hallsym.estimation.goodness_of_fit import ResidualNoise
 from hallsym.families import added_effects
 from hallsym.families.faults import ASSIGNMENT_FAULTS
@@ -366,8 +367,9 @@ def findings(setup: Setup, found: Validation, price: Price | None = None) -> tup
     """
     if found.metric >= found.before.metric:
         return ()
-    spread = np.sqrt(np.maximum(np.diag(found.fit.covariance()), 0.0))
-    out = [_effect(found, e, spread, price) for e in found.effects]
+    covariance, dof = found.fit.uncertainty()
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    out = [_effect(found, e, (std, std * coverage_factor(dof)), price) for e in found.effects]
     scale, before = found.metric / found.after.metric, found.before.metric
     share = _share(found, (1 - scale**2) * found.after.metric**2)
     out += [_repaired(setup, fault, 1 - scale, share) for fault in found.faults]
@@ -377,7 +379,10 @@ def findings(setup: Setup, found: Validation, price: Price | None = None) -> tup
     return tuple(sorted(out, key=lambda e: -e.share))
 
 
-def _effect(found: Validation, validated: Validated, spread: np.ndarray, price: Price | None) -> FoundEffect:
+def _effect(
+    found: Validation, validated: Validated, spread: tuple[np.ndarray, np.ndarray], price: Price | None
+) -> FoundEffect:
+    """Return an effect as it is reported; `spread`: (n,) standard uncertainties, half of the intervals."""
     score, fit = validated.exact.score, found.fit
     model, before = fit.base.model, validated.without.base.model
     stuck, unseen, values = fit.at_bound(), fit.unseen(), fit.values()
@@ -385,8 +390,12 @@ def _effect(found: Validation, validated: Validated, spread: np.ndarray, price: 
     ended = tuple(n for n, j in index.items() if j in stuck)
     blind = [n for n, j in index.items() if j in unseen]
     known = {n: float(values[j]) for n, j in index.items()}
-    std = {n: None if j in stuck or j in unseen else float(spread[j]) for n, j in index.items()}
-    remark = score.effect.remark(known, {n: np.inf if s is None else s for n, s in std.items()})
+    found_of = {}
+    for n, j in index.items():
+        std, half = (None, None) if j in stuck or j in unseen else (float(each[j]) for each in spread)
+        ends = None if half is None else (known[n] - half, known[n] + half)
+        found_of[n] = Estimate(known[n], std, model.parameters[j].unit, ends)
+    remark = score.effect.remark(known, {n: np.inf if e.std is None else e.std for n, e in found_of.items()})
     priced, p = model, fit.base.p
     if before.computed:  # by another effect, with which no C is generated: the price of this one alone
         before = found.start.base.model
@@ -396,7 +405,7 @@ def _effect(found: Validation, validated: Validated, spread: np.ndarray, price: 
         name=score.effect.name,
         link=score.effect.link,
         variant=score.variant.label,
-        parameters={n: Estimate(known[n], std[n], model.parameters[j].unit) for n, j in index.items()},
+        parameters=found_of,
         p_value=score.p_value,
         shrinkage=validated.judged.value,
         interval=validated.judged.interval(),

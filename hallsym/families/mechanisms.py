@@ -436,7 +436,7 @@ def drifts(
 DELAY, LOW_PASS = (-1.0, 1 / 2, -1 / 6, 1 / 24), (-1.0, 1.0, -1.0, 1.0, -1.0, 1.0)
 """Factors of tau^n d^n/dt^n: a delay, and 1 / (1 + tau d/dt), whose series converges more slowly.
 
-At tau times angular frequency x a time constant is off by x^6 of itself: .07 % at .3 (with four terms by .8 %)."""
+At tau times angular frequency x a time constant is off by x^6 of itself, .07 % at .3 (four terms: .8 %)."""
 
 
 def late(

@@ -85,7 +85,7 @@ def test_a_wave_that_is_nil_at_every_knot_stays_at_its_nominal_value():
     assert fit.base.p[k] == 0.0
     assert fit.unseen() == (k,)
     assert k not in fit.at_bound()
-    assert fit.covariance()[k, k] == 0.0
+    assert fit.uncertainty()[0][k, k] == 0.0
     assert not residue_names(base) & {"speed", "time in the campaign", "time since the start of the run"}
     assert "time in the campaign" in residue_names(replace(base, timed=True))
 

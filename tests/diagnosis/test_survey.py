@@ -10,6 +10,7 @@ from hallsym.diagnosis.faults import faults, without_tail
 from hallsym.diagnosis.refit import refit
 from hallsym.diagnosis.setup import base_of, split
 from hallsym.diagnosis.survey import Survey, memory_of_recording, survey
+from hallsym.estimation.calibration import coverage_factor
 from hallsym.log import Log, Noise
 
 SIGMA = 5e-4
@@ -143,6 +144,8 @@ def test_estimates_scatter_as_much_as_a_fit_and_a_refit_say(noise):
         log = encoder(runs=5, seed=seed, noise=noise)
         fit = hallsym.fit(log, model, solver="direct", loss="none", accept=["all"])
         again = refit(base_of(log, fit), log.runs)
-        assert np.sqrt(np.diag(again.covariance())) == pytest.approx(fit.std, rel=0.01)
+        covariance, dof = again.uncertainty()
+        assert np.sqrt(np.diag(covariance)) == pytest.approx(fit.std, rel=0.01)
+        assert coverage_factor(dof) == pytest.approx(coverage_factor(fit.degrees_of_freedom), rel=0.01)
         z.append((again.values() - model.nominal) / fit.std)
     assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.15)
