@@ -44,6 +44,14 @@ def commanded() -> Iterator[None]:
         os.environ.pop(_COMMANDED) if before is None else os.environ.update({_COMMANDED: before})
 
 
+def uncomputable(error: BaseException) -> InputError:
+    """Return the refusal of numbers that end linear algebra with `error`."""
+    return InputError(
+        f"The numbers of the inputs cannot be computed with ({summary(error)}): a value is far from "
+        "what the model expects; look at the units and values of each file with 'hallsym info'."
+    )
+
+
 _ARGUMENTS = {"column": "columns", "correct": "corrections", "effect": "effects", "effects": "own",
               "range": "ranges", "join": "a list of files", "reference": "fit_without_reference",
               "bin": "width"}  # fmt: skip

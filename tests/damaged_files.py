@@ -267,7 +267,7 @@ def targets() -> tuple[Target, ...]:
         Target("meta.json", "folder/meta.json", "fit folder --json --solver direct", m.JSON),
         Target("machine file", "machine.toml", "fit log.parquet --machine {FILE} --json --solver direct",
                m.TOML),
-        Target("column file", "columns.toml", "info log.csv --column-file {FILE} --json", m.TOML),
+        Target("column file", "columns.toml", "info log.csv --column {FILE} --json", m.TOML),
         Target("budget", "budget.toml", "budget {FILE} --json", m.TOML),
         Target("settings", "settings.toml", "budget calib.json --settings {FILE} --json", m.TOML),
         Target("campaign", "campaign.toml", "info {FILE} --json", m.TOML),

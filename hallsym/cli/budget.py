@@ -32,7 +32,7 @@ from hallsym.report.results.budget import (
 from hallsym.trajectory import Curve, read_curve
 from hallsym.uncertainty import Budget, Recorded, Settings, UncertaintyMap, uncertainty_map, with_curve
 
-LOG_OPTIONS = ("column", "column_file", *common.FILE_OPTIONS, "drop_bad")
+LOG_OPTIONS = ("column", *common.FILE_OPTIONS, "drop_bad")
 EPILOG = """\
 examples:
   hallsym budget budget.toml                          any budget: one [[source]] table for each input

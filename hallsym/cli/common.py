@@ -48,7 +48,7 @@ def plots(
 
     words = [str(name) for name in named if name]
     brief = ["/".join(Path(word).parts[-2:]) if Path(word).exists() else word for word in words]
-    return save(draw, folder, getattr(options, "plot_format", "png"), ", ".join(brief))
+    return save(draw, folder, ", ".join(brief))
 
 
 FILE_OPTIONS = ("format", "delimiter", "decimal", "sheet", "clock")
@@ -125,10 +125,12 @@ def refuse_twice(paths: Sequence[str]) -> None:
 
 def reading_of(options: Namespace) -> dict[str, Any]:
     """Return how a log is read, as `read_log` takes it: `log_options` but for `--drop-bad`."""
+    files = [t for t in options.column if "=" not in t and (Path(t).suffix or Path(t).exists())]
+    require(len(files) < 2, "--column", "one column file at most", ", ".join(files))
     return {
-        "columns": dict(parse_column_option(text) for text in options.column),
+        "columns": dict(parse_column_option(text) for text in options.column if text not in files),
+        "column_file": files[0] if files else None,
         "noise": dict(assignment(text) for text in options.noise),
-        "column_file": options.column_file,
         **{name: getattr(options, name) for name in FILE_OPTIONS},
     }
 
@@ -249,7 +251,7 @@ def reading_words(options: Namespace, known: Fit | None = None) -> list[str]:
     for name, text in (known.read_with if known else {}).items():
         words += [f"--{name}", text] if getattr(options, name, None) is None else []
     words += [word for noise in options.noise for word in ("--noise", noise)]
-    for option in ("column_file", *FILE_OPTIONS, "machine", "effects"):
+    for option in (*FILE_OPTIONS, "machine", "effects"):
         value = getattr(options, option, None)
         if value is not None:
             words += [f"--{option.replace('_', '-')}", value]
@@ -265,21 +267,18 @@ def samples_words(options: Namespace) -> list[str]:
 
 def campaign_of(options: Namespace) -> Campaign:
     """Return the campaign of a file, else the paper's, else the example of the model's family."""
-    step, duration = (getattr(options, name, None) for name in ("step", "duration"))
-    for name, value in (("step", step), ("duration", duration)):
-        require(value is None or 0 < value < math.inf, f"--{name}", "a positive number of seconds", value)
+    step = getattr(options, "step", None)
+    require(step is None or 0 < step < math.inf, "--step", "a positive number of seconds", step)
     own = build(options.model).family.example if options.model and options.campaign is None else None
-    if own:
-        if step or duration:
-            raise InputError("--step and --duration belong to the paper's campaign of the stage.")
-        return campaign_from(own.campaign, f"example of {options.model}")
-    if options.campaign is None:
-        return paper_campaign(step or 2e-3, duration or 1.0)
-    if step or duration:
+    if own is None and options.campaign is None:
+        return paper_campaign(step or 2e-3)
+    if step:
         raise InputError(
-            "--step and --duration belong to the paper's campaign; a campaign file states its own."
+            "--step belongs to the paper's campaign of the stage; a campaign file states its own."
         )
-    return read_campaign(options.campaign)
+    return (
+        campaign_from(own.campaign, f"example of {options.model}") if own else read_campaign(options.campaign)
+    )
 
 
 def built(name: str, machine: Machine, effects: Sequence[str] = ()) -> Model:

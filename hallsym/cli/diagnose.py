@@ -45,7 +45,6 @@ log LOG                         log, or a folder with log and meta.json
 --repeats REPEATS <int={REPEATS}>  trials of each size with --power (default {REPEATS})
 --holdout RUNS                  runs to judge on (default: the log's own, else every fifth)
 @own
---threshold THRESHOLD <float>   relative decrease of the gap that counts (default 0.05)
 --budget SECONDS <float>        end the search after so long with the result so far and a note
     (default: no limit)
 -o, --output FILE <repeat>      save the diagnosis: .html for one page to read and print, anything
@@ -117,6 +116,5 @@ def _typed(options: Namespace, first: Fit) -> str:
     words = ["hallsym", "diagnose", options.log, "--model", options.model or first.model.name]
     words += [word for effect in options.effect for word in ("--effect", effect)]
     words += ["--holdout", options.holdout] if options.holdout else []
-    words += [] if options.threshold is None else ["--threshold", f"{options.threshold:g}"]
     words += [] if options.budget is None else ["--budget", f"{options.budget:g}"]
     return shlex.join([*words, *reading_words(options), "-o", "report.html"])

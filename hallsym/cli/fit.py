@@ -88,6 +88,7 @@ def run(options: Namespace) -> int:
         effects, parameters = (), {}
     given = common.chosen(options, fit) | shared | {
         "parameters": parameters, "effects": effects, "corrections": options.correct, "holdout_logs": judged,
+        "noise": None,  # the logs have it
         "per_log": [name for name in (options.per_log or "").split(",") if name],
     }  # fmt: skip
     result = fit(logs if several else logs[0], model, **given)

@@ -205,7 +205,7 @@ def _write(options: Namespace) -> int:
         "open": list(found.open),
         "rest": list(found.rest),
     }
-    options.column_file = options.write
+    options.column = [options.write]
     stated = options.model or (found.recognised and not found.by_columns)
     chosen = ["--model", found.model.name] if stated else []
     following = ["hallsym", "fit", options.file, *chosen, *reading_words(options)]

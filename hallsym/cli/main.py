@@ -14,7 +14,7 @@ import hallsym
 from hallsym.cli import BAD_INPUT, BUG, INTERRUPTED, OK
 from hallsym.cli.parser import parser_of
 from hallsym.cli.progress import ended
-from hallsym.errors import InputError, commanded, one_line, quoted, summary
+from hallsym.errors import InputError, commanded, one_line, quoted, summary, uncomputable
 from hallsym.files import announce, reason, task
 
 DEBUG = "HALLSYM_DEBUG"
@@ -60,12 +60,7 @@ def main(arguments: Sequence[str] | None = None, interrupted: Callable[[], bool]
         if isinstance(error, ImportError) and _limited():  # a library that could not be mapped
             return _said(LITTLE_MEMORY, BAD_INPUT, error)
         if type(error).__name__ == "LinAlgError":  # by name, because a command without numbers has no numpy
-            return _said(
-                f"The numbers of the inputs cannot be computed with ({summary(error)}): a value is far "
-                "from what the model expects; look at the units and values of each file with 'hallsym info'.",
-                BAD_INPUT,
-                error,
-            )
+            return _said(str(uncomputable(error)), BAD_INPUT, error)
         return _said(_bug(error), BUG, error)
 
 

@@ -60,7 +60,8 @@ _READING = """\
 [reading the file]
 --column OURS=THEIRS <repeat>   our name, ending with the unit their column is in, such as
     hall_a_um=HallA (repeat); of an angle in counts also those of a turn:
-    angle_count=raw,counts_per_turn=16384
+    angle_count=raw,counts_per_turn=16384; of a log also a column file, such as columns.toml:
+    [columns] hall_a_um = "HallA"
 --format FORMAT                 csv, parquet and others that are listed below; by the ending if not given
 --delimiter DELIMITER           of a text file: ';', tab, blank; recognised where it is not given
 --decimal SIGN                  of its numbers: . or , where both would be possible
@@ -69,7 +70,6 @@ _READING = """\
 SHARED = {
     "plots": """
 --plots FOLDER                  {}
---plot-format PLOT_FORMAT <=png, png|pdf|svg>  of each picture (default: png)
 """,
     "model": """
 [model]
@@ -89,7 +89,6 @@ SHARED = {
     "table": _READING,
     "log": _READING
     + """\
---column-file TOML              the same as a file: [columns] hall_a_um = "HallA"
 --join FILE <repeat>            another file of the same log (repeat): more runs where it has the same
     columns, else columns that are read at the times of the slower file
 --clock GROUP                   of several files, or of groups of one (TDMS, MDF, MCAP, HDF5), with clocks

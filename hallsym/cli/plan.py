@@ -50,7 +50,6 @@ ranges TOML <optional>          ranges file (docs/plan.md)
 --reference REFERENCE <{"|".join(REFERENCES)}>  an encoder of several Halls without a reference:
     list the waves that its Halls leave open, and the turns for an accuracy
 --accuracy ANGLE                of such a table, rms of the mechanical angle: 0.01deg
---seed SEED <seed=0>            of the order of exchanges (default 0)
 @model stage31
 @log
 """

@@ -22,7 +22,6 @@ campaign TOML <optional>        campaign file (default: the paper's campaign, or
     example values)
 --noise-scale NOISE_SCALE <float=1.0>  factor on every noise level; 0 for a noise-free log
 --step S <float>                clock of the paper's campaign [s] (default 0.002)
---duration S <float>            length of each run of the paper's campaign [s] (default 1)
 @model that of the axes moved, else stage31
 """
 

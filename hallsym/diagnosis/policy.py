@@ -67,7 +67,7 @@ class Policy:
 
     worth_reporting: float = WORTH_REPORTING
     """Relative decrease of the gap metric above which a gap is worth reporting. A choice; the user
-    (--threshold) or the log (meta.json) may state another."""
+    (`threshold`) or the log (meta.json) may state another."""
     holdout_every: int = 5
     """One run of so many is holdout where neither the user nor the log names holdout runs. A fifth of
     the runs judges, as in 5-fold cross-validation."""

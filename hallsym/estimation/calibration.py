@@ -113,14 +113,14 @@ class _Interval:
         return None if self.std is None else (self.value - half, self.value + half)
 
 
-class FittedParameter(_Interval, _Record, frozen=True):
+class FittedParameter(_Interval, _Record, frozen=True, rename={"fixed": "held"}):
     """One parameter in SI; `std` is None where the data do not determine it, a bound where there is none."""
 
     value: float
     unit: str
     std: NotNegative | None
     determined: bool
-    held: bool
+    fixed: bool
     at_bound: bool
     nominal: float
     lower: float | None
@@ -391,7 +391,7 @@ class Fit(Shown, Fitted, kw_only=True, frozen=True, eq=False, dict=True, weakref
     @property
     def fixed(self) -> tuple[str, ...]:
         """Names of the parameters that stayed at their nominal values."""
-        return tuple(n for n in self.model.names if self.parameters[n].held)
+        return tuple(n for n in self.model.names if self.parameters[n].fixed)
 
     @property
     def not_free(self) -> tuple[str, ...]:

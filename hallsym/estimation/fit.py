@@ -5,7 +5,8 @@ give starting points; Newton's method or IPOPT refines them inside the bounds; a
 errors of the fit, and a third, when they are asked for, those of nominal parameters.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from time import perf_counter
@@ -13,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError, nearest
+from hallsym.errors import InputError, nearest, uncomputable
 from hallsym.estimation import outliers
 from hallsym.estimation.calibration import Claim, Fit
 from hallsym.estimation.claims import claims_of, described, mistakes_of
@@ -61,6 +62,7 @@ def fit(
     corrections: Sequence[str] = (),
     accept: Sequence[str] = (),
     drop_bad: bool = False,
+    noise: Mapping[str, float] | None = None,
     seed: int = 0,
     start: np.ndarray | None = None,
     per_log: Sequence[str] = (),
@@ -104,6 +106,7 @@ def fit(
     without (`hysteresis:half_width_m=6e-05`; `hallsym.diagnosis.choose.model_on` finds them on a log). `own`:
     the user's effects by name. `start`: (n,) values to begin from instead of the closed form.
 
+    `noise`: 1 sigma by column in SI, `{"hall_m": 5e-7}` of each `hall_*_m`; it wins over what the log states.
     `corrections`: mistakes of the recording to undo, as a claim states them (`"sign x_ref_m"`; `hallsym info
     corrections` lists the forms). `accept`: names of claims to overrule, which become notes; samples that
     such a claim would leave out stay. "all": every claim, and no search for mistakes.
@@ -133,10 +136,10 @@ def fit(
         (words,) if isinstance(words, str) else words for words in (effects, corrections, accept, per_log)
     )
     alone = not (isinstance(log, list | tuple) or len(holdout_logs) or len(per_log))
-    logs = [as_log(one) for one in (log if isinstance(log, list | tuple) else [log])]
+    logs = [as_log(one, noise=noise) for one in (log if isinstance(log, list | tuple) else [log])]
     if not logs:
         raise InputError("There is no log to fit; give one at least.")
-    judged = [as_log(one) for one in holdout_logs]
+    judged = [as_log(one, noise=noise) for one in holdout_logs]
     undone = tuple(map(read_correction, corrections))
     models = [  # a machine without a stated gap or travel takes those of the log without its mistakes
         model_of(corrected(one, undone), model, effects, parameters, own) for one in (*logs, *judged)
@@ -230,6 +233,16 @@ def _claim(fault: Fault) -> Claim:
     return Claim(fault.name, str(fault), fault.columns, fault.runs, fault.correction)
 
 
+@contextmanager
+def _computing() -> Iterator[None]:
+    """Refuse numbers that end the linear algebra."""
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raise uncomputable(error) from error
+
+
+@_computing()
 def _fit_one(log: Log, model: Model, asked: Asked, began: float) -> tuple[Fit, Log]:
     """Fit one log; return also the log as it was logged, without its bad samples."""
     if exact(model):
@@ -263,6 +276,7 @@ ROUNDS = 12
 """Most rounds of rejecting outliers and refitting."""
 
 
+@_computing()
 def fit_several(
     logs: Sequence[Log],
     holdout_logs: Sequence[Log],

@@ -922,7 +922,7 @@ def _columns(model: Model, data: Data, sigma: Mapping[str, float]) -> Iterator[n
     yield from (a * b for a, b in combinations(s, 2))
     yield from (a * a for a in s)
     for c, count in _along(model, data).items():
-        yield from _cosines(_unit(place[c]), count)
+        yield from _cosines(_unit(place[c]), min(count, len(place[c])))
     waves = [_cosines(x, CURVE) for x in lines.values()]
     for k in range(1, CURVE):
         yield from (wave[k] for wave in waves)

@@ -76,7 +76,7 @@ def default_model(meta: Meta, log: str = "LOG") -> str:
         kinds = " nor ".join(f"{f.about.partition(';')[0].rstrip(')')})" for f in FAMILIES)
         raise InputError(
             f"The log's columns ({listed(meta.columns, 3)}) are neither {kinds}; map columns with "
-            f"--column-file ('hallsym info {log} --write' writes it), or name the model with --model."
+            f"--column FILE.toml ('hallsym info {log} --write' writes it), or name the model with --model."
         )
     fitting = (f for test in (Family.reads, Family.refers) for f in FAMILIES if test(f, meta.columns))
     family = next(fitting, FAMILIES[0])

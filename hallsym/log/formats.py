@@ -159,9 +159,20 @@ def as_log(
     data: Any,
     remembered: Mapping[str, Foreign] | None = None,
     read_with: Mapping[str, str] | None = None,
+    noise: Mapping[str, float] | None = None,
 ) -> Log:
-    """Return a log: itself, or what `read_log` makes of a path or of a table in memory."""
-    return data if isinstance(data, Log) else read_log(data, remembered=remembered, read_with=read_with)
+    """Return a log: itself, or what `read_log` makes of a path or of a table in memory; `noise` wins."""
+    if isinstance(data, Log):
+        return replace(data, noise=_stated(noise, data.columns).merged(data.noise)) if noise else data
+    return read_log(data, remembered=remembered, read_with=read_with, noise=noise)
+
+
+def _stated(noise: Mapping[str, float] | None, columns: Sequence[str]) -> Noise:
+    """Return the noise that a user states, by column."""
+    check_noise_keys(noise or {}, columns, "the noise given")
+    for key, value in (noise or {}).items():
+        require(value > 0, f"Noise '{key}'", "a positive number (1 sigma)", value)
+    return Noise.given(noise or {}, columns)
 
 
 def read_log(
@@ -225,12 +236,9 @@ def read_log(
             f"{where} has no column whose name ends with a unit; it has {listed(source.names, 5)}; map them"
             f" with --column hall_a_um=ITS_NAME, or by 'hallsym info {words} --write'."
         )
-    check_noise_keys(noise or {}, table.columns, "the noise given")
     check_noise_keys(stated.noise, table.columns, "the column file")
-    known = Noise()
-    for key, value in (noise or {}).items():
-        require(value > 0, f"Noise '{key}'", "a positive number (1 sigma)", value)
-    for values in (noise or {}, stated.noise, meta.noise_1sigma):
+    known = _stated(noise, table.columns)
+    for values in (stated.noise, meta.noise_1sigma):
         known = known.merged(Noise.given(values, table.columns))
     meta = replace(meta, columns=table.columns)
     unused = check_noise_keys(meta.noise_1sigma, table.columns, "meta.json", strict=False)

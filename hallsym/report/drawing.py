@@ -57,7 +57,6 @@ STYLE = {
     "text.parse_math": False,
     "svg.fonttype": "none",
     "svg.hashsalt": "hallsym",  # names inside an svg are random without one
-    "pdf.fonttype": 42,
 }
 
 
@@ -187,10 +186,8 @@ def _numbers(ax: Axes, which: str, axis: p.Axis) -> None:
 # -- files: a folder made if missing, written atomically, the same file for the same picture ---------------
 
 
-def save(
-    pictures: Mapping[str, Callable[[], p.Picture]], folder: str | Path, format: str = "png", source: str = ""
-) -> list[Path]:
-    """Draw each picture and save it as `folder/name.format` (png, pdf or svg); returns the files written.
+def save(pictures: Mapping[str, Callable[[], p.Picture]], folder: str | Path, source: str = "") -> list[Path]:
+    """Draw each picture and save it as `folder/name.png`; returns the files written.
 
     `source`: the line below each picture, file and model. Raises `InputError` for a folder that cannot be
     written.
@@ -202,7 +199,7 @@ def save(
         raise InputError(f"Cannot make the folder {folder} for pictures: {reason(error)}.") from error
     written = []
     for name, make in pictures.items():
-        figure, path = draw(make()), folder / f"{name}.{format}"
+        figure, path = draw(make()), folder / f"{name}.png"
         with _style():
             if source:
                 width, height = figure.get_size_inches()
@@ -210,16 +207,15 @@ def save(
                 figure.text(
                     *where, printable(source), ha="right", size=FONT - 1.5, color=p.SOFT
                 ).set_in_layout(False)
-            atomic_write(path, partial(_write, figure, format, bool(source)))
+            atomic_write(path, partial(_write, figure, bool(source)))
         written.append(path)
     return written
 
 
-def _write(figure: Figure, format: str, below: bool, path: Path) -> None:
+def _write(figure: Figure, below: bool, path: Path) -> None:
     width, height = figure.get_size_inches()
-    dated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(format)
     box = Bbox([[0.0, -0.165], [width, height]]) if below else None
-    figure.savefig(path, format=format, dpi=DPI, metadata=dated, bbox_inches=box)
+    figure.savefig(path, format="png", dpi=DPI, bbox_inches=box)
 
 
 # -- SVG inside a page -----------------------------------------------------------------------------------

@@ -38,7 +38,7 @@ def test_a_bad_run_is_undone_in_every_command_by_the_words_of_the_claim(runs, ca
     monkeypatch.chdir(runs.parent)
     assert main(["info", "runs", "--write"]) == OK
     assert "remove the #" not in capsys.readouterr().out  # no unit is open
-    fit = "fit runs --model stage30 --column-file columns.toml --solver direct -o c.json"
+    fit = "fit runs --model stage30 --column columns.toml --solver direct -o c.json"
     assert main(shlex.split(fit)) == NOT_DESCRIBED
     told = next(line for line in capsys.readouterr().out.split("\n") if "; next: " in line)
     words = shlex.split(told.partition("; next: hallsym ")[2])

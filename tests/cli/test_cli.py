@@ -50,9 +50,9 @@ def test_info_shows_the_first_rows_and_suggests_a_column_file(run, written, tmp_
     assert code == 0
     assert 'hall_a_m = "HallA"' in out
     assert "Check columns.toml." in out
-    assert f"next: hallsym fit {path} --column-file columns.toml" in " ".join(out.split())
+    assert f"next: hallsym fit {path} --column columns.toml" in " ".join(out.split())
     assert run("fit", path, "--solver", "direct")[0] == 2
-    options = ("--column-file", "columns.toml", "--solver", "direct", "-o", "calib.json")
+    options = ("--column", "columns.toml", "--solver", "direct", "-o", "calib.json")
     assert run("fit", path, *options)[0] == 0
     for command in ("evaluate", "report", "sensitivity"):
         code, out, err = run(command, "calib.json", path)

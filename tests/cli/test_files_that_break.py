@@ -135,7 +135,7 @@ def test_a_pipe_is_not_waited_for(refused, log, tmp_path):
     for arguments in (
         ["info", "PIPE"], ["evaluate", "PIPE", log], ["fit", log, "--machine", "PIPE"],
         ["trajectory", "PIPE"],
-        ["fit", log, "--column-file", "PIPE"], ["fit", log, "--effects", "PIPE", "--effect", "mine"],
+        ["fit", log, "--column", "PIPE"], ["fit", log, "--effects", "PIPE", "--effect", "mine"],
     ):  # fmt: skip
         words = [tmp_path / "pipe.csv" if a == "PIPE" else a for a in arguments]
         assert "is a pipe or a device" in refused(*words)

@@ -86,7 +86,7 @@ def test_times_are_said_in_units_that_suit_them():
 def test_control_c_ends_with_130_one_sentence_and_no_file(tmp_path, terminal):
     """A simulation that would take minutes is interrupted while it writes."""
     ours, theirs = pty.openpty() if terminal else os.pipe()
-    words = ["simulate", "-o", str(tmp_path / "log.csv"), "--duration=400", "--step=0.001", "--seed=1"]
+    words = ["simulate", "-o", str(tmp_path / "log.csv"), "--step=2.5e-6", "--seed=1"]
     env = {**os.environ, "PYTHONPATH": str(ROOT)}
     child = subprocess.Popen([sys.executable, "-m", "hallsym", *words], stderr=theirs, env=env)
     os.close(theirs)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from twins import HALL, SIGMAS, TRUTH, pm, record, same, truth_of, with_noise
+from twins import HALL, SIGMAS, TRUTH, example_log, pm, record, same, truth_of, with_noise
 
 from hallsym.errors import InputError
 from hallsym.estimation import fit
@@ -257,3 +257,30 @@ def test_gross_outliers_do_no_harm_over_many_seeds():
         found = fit(Log.from_arrays(spoilt, noise=noise), model, solver="direct")
         right += np.nanmax(np.abs((found.values - p) / found.std)) < 5
     assert right == 8
+
+
+def test_noise_that_is_stated_wins_over_that_of_the_log(columns):
+    stated = {"hall_m": 2e-6}
+    of_table, of_log = (
+        fit(one, "stage31", solver="direct", noise=stated) for one in (columns, with_noise(columns))
+    )
+    assert {of_table.noise[c].value for c in of_table.model.channels} == {2e-6}
+    assert of_log.noise["hall_a_m"] == of_table.noise["hall_a_m"]
+    with pytest.raises(InputError, match="hal_m"):
+        fit(with_noise(columns), "stage31", noise={"hal_m": 1e-6})
+
+
+@pytest.mark.parametrize(
+    ("name", "factor"),
+    [("halbach", 1e6), ("halbach_planar", 1e6), pytest.param("stage31", 1e9, marks=pytest.mark.slow)],
+)
+def test_a_reference_far_beyond_the_machine_is_claimed_or_refused(name, factor):
+    """Its numbers end a step of the linear algebra, or would fill the memory."""
+    log = with_noise(record(seed=1, samples=60)) if name == "stage31" else example_log(build(name))
+    columns = {c: log.array(c) for c in log.columns}
+    columns["x_ref_m"] = factor * columns["x_ref_m"]
+    try:
+        said = [one.text for one in fit(columns, name).claims]
+    except InputError as error:
+        said = [str(error)]
+    assert any("x_ref_m" in text for text in said), said

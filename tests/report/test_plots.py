@@ -100,16 +100,13 @@ def test_pictures_are_whole_files_in_their_own_style(log: Log, fitted: Fit, tmp_
 
 
 @pytest.mark.slow
-def test_every_kind_of_file_names_its_source_and_is_the_same_every_time(
+def test_a_file_names_its_source_and_is_the_same_every_time(
     fitted: Fit, survey: Survey, tmp_path: Path
 ) -> None:
-    for kind, start in (("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")):
-        draw = {"errors": lambda: plots.errors_by_setting(fitted, survey)}
-        source = "campaign/log.parquet, stage31"
-        first, again = (save(draw, tmp_path, kind, source)[0].read_bytes() for _ in "ab")
-        assert first.startswith(start)
-        assert first == again
-        assert kind != "svg" or b"campaign/log.parquet, stage31" in first
+    draw = {"errors": lambda: plots.errors_by_setting(fitted, survey)}
+    source = "campaign/log.parquet, stage31"
+    first, again, bare = (save(draw, tmp_path, said)[0].read_bytes() for said in (source, source, ""))
+    assert first == again != bare
 
 
 def test_a_fit_starts_without_what_it_does_not_need() -> None:
@@ -145,12 +142,11 @@ def test_corrections_of_the_fit_are_applied(log: Log, fitted: Fit) -> None:
 
 
 def test_the_command_draws_an_evaluation(tmp_path: Path, capsys) -> None:
-    words = ["evaluate", str(CALIBRATION), str(CAMPAIGN), "--plots", str(tmp_path), "--plot-format", "svg"]
+    words = ["evaluate", str(CALIBRATION), str(CAMPAIGN), "--plots", str(tmp_path)]
     assert main(words) == 0
     (path,) = tmp_path.iterdir()
     assert f"wrote {path}" in capsys.readouterr().out
     assert path.stem == "errors_by_setting"
-    assert "data/campaign, golden/calib.json" in path.read_text(encoding="utf-8")
 
 
 @pytest.mark.slow

@@ -352,6 +352,9 @@ def guess(model: Model, log: Any) -> dict[str, float]:
             read(model.vector({**wide, name: by}), offsets, pose, state)[0][own].ravel()
             for by in (0.0, shift)
         ]
+        if not np.isfinite(both).all():
+            where = ", ".join(model.references)
+            raise InputError(f"The field at the logged pose is not finite; look at the units of {where}.")
         (c, d), *_ = np.linalg.lstsq(np.array(both).T, v.ravel(), rcond=None)
         found[name] = float(np.arctan2(d, c)) * shift * 2 / np.pi
         size.append(float(np.hypot(c, d)))
