@@ -11,7 +11,7 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.log.columns import RUN, T, is_run_word, is_time_word, stems_of
-from hallsym.log.table import Arrays, Source, load
+from hallsym.log.table import Arrays, Source, label, load
 from hallsym.units import UNITS, Array, split_unit
 
 HOUR_S, DAY_S = 3600.0, 86_400.0
@@ -221,6 +221,8 @@ def source_of(data: Any, where: str) -> Memory:
         array = np.asarray(values) if isinstance(data, Mapping) else values
         if isinstance(array, np.ndarray) and array.dtype.kind in "mM" and array.ndim == 1:
             array = load("pyarrow").array(array.astype(f"{array.dtype.kind}8[ns]"))
+        elif isinstance(array, np.ndarray) and array.dtype.kind in "UO" and array.ndim == 1:
+            array = load("pyarrow").array([*map(label, array.tolist())], "string")
         given[str(name)] = array
     typed = {name: values.type for name, values in given.items() if not isinstance(values, np.ndarray)}
     timed = {

@@ -5,15 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError, nearest, require
+from hallsym.errors import InputError, nearest
 from hallsym.log import Foreign, Log, read_log
 from hallsym.log.columns import listed
-from hallsym.log.table import label
 from hallsym.units import Array, si_unit
 
 SENSOR = "sensor"
@@ -49,13 +47,13 @@ class Readings:
 
 
 def read_readings(
-    path: str | Path,
+    path: Any,
     *,
     columns: Mapping[str, str | Foreign] | None = None,
     fields: Sequence[float] = (),
     **options: Any,
 ) -> Readings:
-    """Read the table of a sorting bench, in any format that `read_log` reads.
+    """Read the table of a sorting bench: whatever `read_log` reads, a dict of arrays or a data frame too.
 
     One row a reading: `sensor, field_t, reading_v[, reference_v, t_s]`; or one row a measurement: `sensor,
     field_0_t, reading_0_v, reference_0_v, field_1_t, ...`. `fields` [T] stand in place of field columns.
@@ -72,15 +70,6 @@ def read_readings(
             f" has {listed(source.names)}; map it with --column {SENSOR}=ITS_NAME."
         )
     return replace(_arranged(log, source.labels(name), fields), notes=source.notes)
-
-
-def readings_from(table: Any, fields: Sequence[float] = (), name: str = "The table") -> Readings:
-    """Return the readings of a dict of arrays or a data frame with the columns of `read_readings`."""
-    columns = {str(c): np.asarray(table[c]) for c in (table if isinstance(table, Mapping) else table.columns)}
-    wanted = "one with a column 'sensor', the name of each sensor"
-    require(SENSOR in columns, name, wanted, list(columns))
-    labels = [label(v) for v in columns.pop(SENSOR).tolist()]
-    return _arranged(Log.from_arrays(columns, name=name), labels, fields)
 
 
 def _arranged(log: Log, labels: Sequence[str], fields: Sequence[float]) -> Readings:

@@ -14,7 +14,7 @@ from scipy.ndimage import median_filter
 from hallsym.errors import InputError, require
 from hallsym.shown import Shown
 from hallsym.sorting.bins import bins_of, change_probability, wrong_probability
-from hallsym.sorting.readings import Readings, read_readings, readings_from
+from hallsym.sorting.readings import Readings, read_readings
 from hallsym.units import Array
 
 WIDTH = 0.005
@@ -174,10 +174,8 @@ def sort_sensors(
     require(0 < width < 1, "The width of a bin", "a share of the gain above 0 and below 1", width)
     for value, what in ((nominal, "The nominal gain"), (repeatability, "The repeatability")):
         require(value is None or 0 < value < np.inf, what, "a positive number", value)
-    if isinstance(readings, str | Path):
+    if not isinstance(readings, Readings):
         readings = read_readings(readings, fields=fields)
-    elif not isinstance(readings, Readings):
-        readings = readings_from(readings, fields)
     sensor, gain, offset = _lines(readings, readings.value)
     at, drift = np.flatnonzero(np.isfinite(gain)), None
     if not len(at):
