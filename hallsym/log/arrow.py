@@ -219,9 +219,10 @@ def source_of(data: Any, where: str) -> Memory:
     given: dict[str, Any] = {}
     for name, values in data.items() if isinstance(data, Mapping) else _columns_of(data, where):
         array = np.asarray(values) if isinstance(data, Mapping) else values
-        if isinstance(array, np.ndarray) and array.dtype.kind in "mM" and array.ndim == 1:
-            array = load("pyarrow").array(array.astype(f"{array.dtype.kind}8[ns]"))
-        elif isinstance(array, np.ndarray) and array.dtype.kind in "UO" and array.ndim == 1:
+        kind = array.dtype.kind if isinstance(array, np.ndarray) and array.ndim == 1 else ""
+        if kind in ("m", "M"):
+            array = load("pyarrow").array(array.astype(f"{kind}8[ns]"))
+        elif kind in ("U", "O") and all(isinstance(first, str) for first in array[:1]):
             array = load("pyarrow").array([*map(label, array.tolist())], "string")
         given[str(name)] = array
     typed = {name: values.type for name, values in given.items() if not isinstance(values, np.ndarray)}

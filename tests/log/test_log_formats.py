@@ -287,7 +287,8 @@ def test_a_run_begins_where_the_clock_starts_again(tmp_path: Path) -> None:
 
 def test_runs_with_names_are_numbered_in_their_order(tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text("run,x_ref_um\nup,1\nup,2\ndown,3\n")
-    assert read_log(tmp_path / "log.csv").array("run").tolist() == [0, 0, 1]
+    for log in (tmp_path / "log.csv", {"run": ["up", "up", "down"], "x_ref_um": [1, 2, 3]}):
+        assert read_log(log).array("run").tolist() == [0, 0, 1]
     (tmp_path / "bad.csv").write_text("run,x_ref_um\n1,1\n1x,2\n2,3\n")
     with pytest.raises(InputError, match="Line 3, column 'run'"):
         read_log(tmp_path / "bad.csv").runs  # noqa: B018
