@@ -44,8 +44,6 @@ from hallsym.model import Model
 from hallsym.model.influence import reading_slopes
 from hallsym.model.model import combination, linear
 
-TOGETHER = 128
-"""Runs per block: larger blocks cost memory and save no time."""
 ALONE = 1e-3
 """1 - leverage below which a run determines a direction alone: its score does not show its error there."""
 STEEP, BEND = 2 * np.log(2.0), np.log(2.0)
@@ -220,21 +218,14 @@ class RunScatter:
         values, axes = np.linalg.eigh(information * np.outer(unit, unit))
         some = values > SINGULAR * values.max(initial=0.0)
         K = unit[:, None] * axes[:, some] / np.sqrt(values[some])
-        J = np.concatenate([K.T @ runs[own] @ K for own in _parts(len(runs))])
-        return RunScatter(K, J, scores @ K, np.eye(K.shape[1]) if noise is None else K.T @ noise @ K)
+        by_noise = np.eye(K.shape[1]) if noise is None else K.T @ noise @ K
+        return RunScatter(K, K.T @ runs @ K, scores @ K, by_noise)
 
     @cached_property
     def _powers(self) -> tuple[np.ndarray, float]:
         """Sum over runs of J^2, (n, n), and of the trace of J^3."""
-        squares, cubes = np.zeros_like(self.by_noise), 0.0
-        for J in self._leverages():
-            square = J @ J
-            squares += square.sum(axis=0)
-            cubes += float(np.einsum("rij,rji->", square, J))
-        return squares, cubes
-
-    def _leverages(self) -> Iterator[np.ndarray]:
-        return (self.leverage[some] for some in _parts(len(self.leverage)))
+        squares = self.leverage @ self.leverage
+        return squares.sum(axis=0), float(np.sum(squares * self.leverage))
 
     @cached_property
     def expected(self) -> float:
@@ -260,24 +251,15 @@ class RunScatter:
         """Return the `ratio` that white noise of variance `size` certainly does not exceed."""
         return size * float(chdtri(self.degrees_of_freedom, ndtr(-CERTAIN))) / self.degrees_of_freedom
 
-    def _adjusted(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield for some runs at a time J (r, n, n), and (1 - J)^(-1/2) without the directions that a run
-        determines alone (r, n, n)."""
-        for J in self._leverages():
-            share, axes = np.linalg.eigh(J)
-            seen = 1.0 - share > ALONE
-            grow = np.where(seen, 1.0 / np.sqrt(np.where(seen, 1.0 - share, 1.0)), 0.0)
-            yield J, (axes * grow[:, None, :]) @ np.swapaxes(axes, 1, 2)
-
     @cached_property
-    def _alone(self) -> np.ndarray:
-        """Leverage in the directions that a run determines alone, of all runs, (n, n)."""
-        out = np.zeros_like(self.by_noise)
-        for J in self._leverages():
-            share, axes = np.linalg.eigh(J)
-            share = np.where(1.0 - share > ALONE, 0.0, share)
-            out += np.einsum("rik,rk,rjk->ij", axes, share, axes)
-        return out
+    def _adjusted(self) -> tuple[np.ndarray, np.ndarray]:
+        """(1 - J)^(-1/2) without the directions that a run determines alone, (r, n, n), and the leverage of
+        all runs in those directions, (n, n)."""
+        share, axes = np.linalg.eigh(self.leverage)
+        alone = 1.0 - share <= ALONE
+        grow = np.where(alone, 0.0, 1.0 / np.sqrt(np.maximum(1.0 - share, ALONE)))
+        adjust, own = ((axes * of[:, None]) @ axes.swapaxes(1, 2) for of in (grow, share * alone))
+        return adjust, own.sum(axis=0)
 
     def covariance(self, least: float) -> np.ndarray:
         """Return the covariance of the parameters, (n, n).
@@ -285,12 +267,10 @@ class RunScatter:
         A direction that one run determines alone gets the variance by noise, scaled by the scatter of all
         directions together and by no less than `least`.
         """
-        share, axes = np.linalg.eigh(self._alone)
+        adjust, alone = self._adjusted
+        share, axes = np.linalg.eigh(alone)
         root = (axes * np.sqrt(np.maximum(share, 0.0))) @ axes.T
-        parts = zip(_parts(len(self.scores)), self._adjusted(), strict=True)
-        grown = np.concatenate(
-            [np.einsum("rij,rj->ri", adjust, self.scores[some]) for some, (_, adjust) in parts]
-        )
+        grown = np.einsum("rij,rj->ri", adjust, self.scores)
         inner = grown.T @ grown + max(self.ratio, least) * (root @ self.by_noise @ root)
         return self.root @ inner @ self.root.T
 
@@ -303,23 +283,16 @@ class RunScatter:
         along = gradients @ self.root
         size = np.linalg.norm(along, axis=1, keepdims=True)
         along = along / np.where(size > 0, size, 1.0)
-        m, n = along.shape
-        mean, variance, across = np.zeros(m), np.zeros(m), np.zeros((m, n, n))
-        for J, adjust in self._adjusted():
-            w = np.einsum("rij,mj->rmi", adjust, along)
-            y = np.einsum("rmi,rij->rmj", w, J)
-            own = np.einsum("rmi,rmi->rm", w, y)
-            mean += own.sum(axis=0) - np.einsum("rmi,rmi->m", y, y)
-            across += np.einsum("rmi,rmj->mij", y, y)
-            variance += (own**2).sum(axis=0) - 2.0 * np.einsum("rm,rmi,rmi->m", own, y, y)
-        variance += np.einsum("mij,mij->m", across, across)
-        pooled = np.einsum("mi,ij,mj->m", along, self._alone, along)
+        adjust, alone = self._adjusted
+        w = along @ adjust
+        y = w @ self.leverage
+        own, squares = (w * y).sum(axis=2), (y * y).sum(axis=2)
+        across = y.transpose(1, 2, 0) @ y.swapaxes(0, 1)
+        mean = (own - squares).sum(axis=0)
+        variance = (own * (own - 2.0 * squares)).sum(axis=0) + (across**2).sum(axis=(1, 2))
+        pooled = np.einsum("mi,ij,mj->m", along, alone, along)
         spread = variance + pooled**2 / self.degrees_of_freedom
         return np.maximum((mean + pooled) ** 2 / np.maximum(spread, 1e-300), 1.0)
-
-
-def _parts(runs: int) -> Iterator[slice]:
-    return (slice(start, start + TOGETHER) for start in range(0, runs, TOGETHER))
 
 
 PLACES = 16_384
@@ -374,7 +347,7 @@ def uncertainty(point: Point, found: Determination, samples: Sequence[Samples] =
     `samples`: of each log that the cost is made of. Without them noise counts as white, as that of a plan.
     """
     cost, p, model = point.cost, point.p, point.cost.summary.model
-    at_bound = _at_bound(model.bounds, p, found)
+    at_bound = tuple(k for k in pressed(model.bounds, p) if k not in found.not_free)
     axes = found.coordinates(at_bound)
     moving, fitted = axes.moving, len(axes.free)
     basis = axes.basis(len(p))
@@ -643,10 +616,6 @@ def _larger(by_runs: Estimated, by_noise: Estimated) -> Estimated:
         return np.where(noise > runs, by_noise.dof(gradients), by_runs.dof(gradients))
 
     return replace(by_runs, covariance=by_runs.covariance * np.outer(more, more), dof=dof)
-
-
-def _at_bound(bounds: tuple[np.ndarray, np.ndarray], p: np.ndarray, found: Determination) -> tuple[int, ...]:
-    return tuple(k for k in pressed(bounds, p) if k not in found.not_free)
 
 
 def pressed(bounds: tuple[np.ndarray, np.ndarray], p: np.ndarray) -> tuple[int, ...]:
