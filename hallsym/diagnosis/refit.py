@@ -189,36 +189,26 @@ def refit(base: Base, runs: Sequence[int], beside: float = np.inf) -> Refitted:
     """Minimise the whitened residual of `runs` from `base`; every run's offsets follow its own samples.
 
     It ends where a step lowers the cost by less than 1e-5 of it, or where steps as good as the last one do
-    not reach the cost `beside` it in the passes that are left. A long log is fitted in part first.
-    """
-    left = count(PASSES, -1)
-    if base.part is not base:
-        return _refit_all(replace(base, p=refit(base.part, runs).base.p), runs)
-
-    def converged(now: Refitted, gained: float) -> bool:
-        return gained <= 1e-5 * now.cost or next(left) * gained < now.cost - beside
-
-    def linearised(at: Base) -> Refitted:
-        return Refitted.of(at, normal_equations(at, decoded=False), runs)
-
-    return gauss_newton(linearised, base, converged, PASSES)[0]
-
-
-def _refit_all(base: Base, runs: Sequence[int]) -> Refitted:
-    """Minimise the residual on all samples of a long log from the minimum on its part.
-
-    The last step needs no pass once it is within the uncertainty of the part: over that the model is as
+    not reach the cost `beside` it in the passes that are left. A long log is fitted in part first; the last
+    step on all samples needs no pass once it is within the uncertainty of the part: over that the model is as
     linear as its covariance supposes.
     """
+    left, long = count(PASSES, -1), base.part is not base
+    if long:
+        base = replace(base, p=refit(base.part, runs).base.p)
 
-    def converged(now: Refitted, _: float) -> bool:
-        gained, more = now.cost - now.stepped().cost, base.log.rows / base.part.log.rows
-        return gained <= base.policy.separated**2 * more * len(base.free) * now.variance(1.0)
+    def converged(now: Refitted, gained: float) -> bool:
+        if not long:
+            return gained <= 1e-5 * now.cost or next(left) * gained < now.cost - beside
+        more = base.log.rows / base.part.log.rows
+        most = base.policy.separated**2 * more * len(base.free) * now.variance(1.0)
+        return now.cost - now.stepped().cost <= most
 
     def linearised(at: Base) -> Refitted:
-        return Refitted.of(at, normal_equations(at), runs)
+        return Refitted.of(at, normal_equations(at, decoded=long), runs)
 
-    return gauss_newton(linearised, base, converged, PASSES)[0].stepped()
+    found = gauss_newton(linearised, base, converged, PASSES)[0]
+    return found.stepped() if long else found
 
 
 def seen(base: Base, M: np.ndarray) -> np.ndarray:
