@@ -457,16 +457,15 @@ def _columns(
 
 def _excess_noise_of(point: Point, free: np.ndarray) -> np.ndarray | None:
     """Return the sum of `_excess_noise` over the runs of all shares of a cost; None where none has any."""
-    cost, p = point.cost, point.p
-    out, varying = np.zeros((len(free), len(free))), False
+    cost, out = point.cost, None
     for part, chosen in cost.shares:
         own = np.flatnonzero(np.isin(free, chosen))
-        place = np.searchsorted(chosen, free[own])
-        found = _excess_noise(point if part is cost else part.at(p[chosen]), place)
+        at = point if part is cost else part.at(point.p[chosen])
+        found = _excess_noise(at, np.searchsorted(chosen, free[own]))
         if found is not None:
+            out = np.zeros((len(free), len(free))) if out is None else out
             out[own[:, None], own] += np.tensordot(part.weights, found, 1)
-            varying = True
-    return out if varying else None
+    return out
 
 
 def _excess_noise(point: Point, free: np.ndarray) -> np.ndarray | None:

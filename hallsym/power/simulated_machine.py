@@ -5,6 +5,7 @@ the size and autocorrelation of the residual of the fit (`noise_of_rest`), in th
 reference. The simulated logs state the noise that the log states.
 """
 
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -77,19 +78,9 @@ def decimated(base: Base, rows: int) -> tuple[Log, str]:
     said = [f"every {every}. sample"] if every > 1 else []
     if long:
         said.append(f"the first {most} samples of each run")
-    return _kept(base, every, most), " of ".join(said)
-
-
-PER_PERIOD = 12
-"""Samples per period of the fastest motion that a decimated log keeps."""
-
-
-def _kept(base: Base, every: int, most: int) -> Log:
-    """Return a decimation of the first `most` samples of each run, without those that the fit left out."""
-    log = base.log
-    if every == 1 and most >= log.rows and base.keep is None:
-        return log
-    seen = dict.fromkeys(log.runs, 0)
+    text, seen = " of ".join(said), Counter[int]()
+    if not said and base.keep is None:
+        return log, text
     parts: dict[str, list[np.ndarray]] = {c: [] for c in log.columns}
     for block in log.blocks():
         n = len(block.data["t_s"])
@@ -101,10 +92,13 @@ def _kept(base: Base, every: int, most: int) -> Log:
         for column in log.columns:
             values = np.full(n, block.run) if column == "run" else block.data[column]
             parts[column].append(values[keep])
-    columns = {
-        c: np.concatenate(parts.pop(c)) for c in log.columns
-    }  # one column at a time is twice in memory
-    return Log.from_arrays(columns, log.noise, log.meta, log.name)
+    # one column at a time is twice in memory
+    columns = {c: np.concatenate(parts.pop(c)) for c in log.columns}
+    return Log.from_arrays(columns, log.noise, log.meta, log.name), text
+
+
+PER_PERIOD = 12
+"""Samples per period of the fastest motion that a decimated log keeps."""
 
 
 def _spacing(base: Base, rows: int) -> int:
