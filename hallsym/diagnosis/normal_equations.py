@@ -37,12 +37,6 @@ class Products(NamedTuple):
     border: np.ndarray
     inner: np.ndarray
 
-    @classmethod
-    def of_zeros(cls, count: int, work: "Columns") -> "Products":
-        """Return so many products of the columns of `work`, offsets not counted, all 0."""
-        shape = len(work.near) - work.z, work.size - work.z
-        return cls(np.zeros((count, *shape)), np.zeros((count, work.pairs.shape[1])))
-
     def summed(self) -> "Products":
         """Return the sum over all matrices, as one."""
         return Products(*(each.sum(axis=0, keepdims=True) for each in self))
@@ -276,7 +270,8 @@ def normal_equations(
     most = (base.log.rows // length + len(runs),) * 2 if length else (len(runs), len(groups))
     fold = {run: k for k, group in enumerate(judged or ()) for run in group}
     folds = most[1] if judged is None else len(judged) + 1  # the last one of all others
-    made = [Products.of_zeros(size, work) for size in (most[1], folds)]
+    border, inner = (len(work.near) - work.z, work.size - work.z), work.pairs.shape[1]
+    made = [Products(np.zeros((size, *border)), np.zeros((size, inner))) for size in (most[1], folds)]
     count, offsets = np.zeros(most[1]), np.zeros((2, most[0], work.z, work.size))
     parts: dict[tuple[int, int], int] = {}  # which (run, stretch) each row of `offsets` is of
     seen: dict[int, int] = {}

@@ -117,17 +117,13 @@ class Refitted:
         """Index of the free parameters on which no fitted sample depends, see `seen`."""
         return tuple(np.array(self.base.free, dtype=int)[~seen(self.base, self.products)].tolist())
 
-    @cached_property
-    def _moving(self) -> np.ndarray:
-        """Which of the free parameters have an uncertainty: those that are seen and at no bound."""
-        return np.flatnonzero(~np.isin(self.base.free, (*self.at_bound(), *self.unseen())))
-
     def uncertainty(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the covariance (n, n) of all parameters, as of a fit, and the degrees of freedom (n,) of it.
 
         0 where fixed, unseen or at a bound, with infinite ones.
         """
-        moving, units = self._moving, self.tangents.likelihood[self.fitted]
+        moving = np.flatnonzero(~np.isin(self.base.free, (*self.at_bound(), *self.unseen())))
+        units = self.tangents.likelihood[self.fitted]
         free = np.array(self.base.free, dtype=int)[moving]
         octaves = Octaves.of(self._pieces(), offsets=len(self.base.model.offsets))
         known = None if octaves.white else octaves.reduced(np.eye(len(self.base.free))[:, moving])
@@ -147,8 +143,9 @@ class Refitted:
         work, fitted = Columns(self.base), {run for unit in self.fitted for run in self.tangents.runs[unit]}
         for batch, weights in work.weighed():
             used = np.repeat(np.isin(batch.runs, [*fitted]), np.diff(batch.edges))
-            columns = work.columns(batch, weights)[0][..., used]
-            yield batch.of_runs(fitted), np.tensordot(columns, work.whiten, (1, 1)).swapaxes(1, 2)
+            if used.any():
+                columns = work.columns(batch, weights)[0][..., used]
+                yield batch.of_runs(fitted), np.tensordot(columns, work.whiten, (1, 1)).swapaxes(1, 2)
 
     def values(self) -> np.ndarray:
         """Return the parameters (n,) within the gauges of the model, as a fit gives them."""

@@ -191,7 +191,9 @@ class Screen:
             z0 = [float(z[0]) for z in drawn[s.key]] or [-np.inf]
             kept = min((f.kept(s.key) for f in flips), default=1.0) if drawn[s.key] else 1.0
             s = replace(s, kept=kept, ratio=1 - (1 - s.ratio) * kept, statistic=z0[0])
-            s = replace(s, p_by_noise=_by_noise(s, peak, sum(most.values())))
+            if not s.absorbed and np.isfinite(peak):
+                by_noise = max(float(chdtrc(s.size, kept * s.gain / peak)), LEAST)
+                s = replace(s, p_by_noise=min(1.0, sum(most.values()) * by_noise))
             signs = max(joint.p_value(z) for joint, z in zip(joints, z0, strict=False))
             p = min(1.0, signs / of_signs, s.p_by_noise / part)
             ratio = min(s.ratio, self._ratio(s, peak)) if p < self.base.policy.false_alarm else s.ratio
@@ -227,13 +229,6 @@ class Screen:
             SignFlips(self.t, self.runs, size * noise, base.policy, memories=memories, joined=base.joined)
             for size in sizes
         ]
-
-
-def _by_noise(score: Score, peak: float, tried: float) -> float:
-    """Return the p-value of a score by the spectrum of the noise, corrected for what was `tried`."""
-    if score.absorbed or not np.isfinite(peak):
-        return 1.0
-    return min(1.0, tried * max(float(chdtrc(score.size, score.kept * score.gain / peak)), LEAST))
 
 
 class Regressions:

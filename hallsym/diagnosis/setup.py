@@ -15,7 +15,7 @@ from hallsym.diagnosis.p_values import statistic_at
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.residuals import FOLDS, NIL, Base, found_once
 from hallsym.diagnosis.survey import products_at_lags
-from hallsym.errors import InputError, counted
+from hallsym.errors import InputError, counted, require
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.claims import assigned
 from hallsym.estimation.decoding import logged_columns
@@ -198,10 +198,12 @@ def prepare(
     Arguments as for `diagnose`.
     """
     began, say = perf_counter(), on_progress or (lambda _: None)
-    model, timed = _built(log, model), "t_s" in log.columns
-    level = _threshold(log, threshold, policy)
-    if budget is not None and not budget >= 0:
-        raise InputError(f"Input budget of diagnose must be 0 s or more; instead received {budget:g}.")
+    model = model.model if isinstance(model, Fit) else model or default_model(log.meta)
+    model = model if isinstance(model, Model) else build(model, meta=log.described)
+    level = log.meta.gap_threshold_rel or policy.worth_reporting if threshold is None else float(threshold)
+    require(0 < level < 1, "Input threshold of diagnose", "between 0 and 1", level)
+    timed = TIME in log.columns
+    require(budget is None or budget >= 0, "Input budget of diagnose", "0 s or more", budget)
     log, drop_bad = readable(at_rest(log, model), model, drop_bad)
     whole = log
     chosen, pieces = _whole_runs(log, holdout, policy), tuple[int, ...]()
@@ -222,8 +224,10 @@ def prepare(
     }  # fmt: skip
     inspected = _inspecting(model, whole) if pieces else model
     result = fit(log, inspected, accept=(ALL,), **asked)
-    if result.goodness and result.goodness.sentence and (wires := _wires(log, result)):
-        result = fit(log, inspected, corrections=wires, accept=(ALL,), **asked)
+    amiss = result.goodness and result.goodness.sentence
+    if amiss and (wires := assigned(corrected(log, result.corrections), result.model)):
+        undone = [one.text for one in (*result.corrections, *wires)]
+        result = fit(log, inspected, corrections=undone, accept=(ALL,), **asked)
     result = result.changed(model=model)
     base = base_of(log, result)
     if (part := base.part) is not base:
@@ -248,12 +252,6 @@ def prepare(
     )
 
 
-def _built(log: Log, model: str | Model | Fit | None) -> Model:
-    if isinstance(model, Fit):
-        model = model.model
-    return model if isinstance(model, Model) else build(model or default_model(log.meta), meta=log.described)
-
-
 def _pieces(log: Log, model: Model, known: Fit | None, policy: Policy) -> tuple[Log, tuple[int, ...]]:
     """Split a recording of too few runs if runs have no offsets; return the pieces to hold out.
 
@@ -272,13 +270,6 @@ def _known(log: Log, model: Model) -> Fit | None:
         return fit(log, model, solver="direct", accept=(ALL,))
     except InputError:
         return None  # the fit of the groups raises it again
-
-
-def _wires(log: Log, result: Fit) -> tuple[str, ...]:
-    """Return the corrections of exchanged or inverted channels that explain the residual of a fit."""
-    mounted = corrected(log, result.corrections)
-    found = assigned(mounted, result.model)
-    return tuple(one.text for one in (*result.corrections, *found)) if found else ()
 
 
 def _first_fit(log: Log, found: Fit, policy: Policy) -> tuple[np.ndarray | None, int]:
@@ -352,13 +343,6 @@ def _too_short(log: Log, policy: Policy) -> InputError:
         f"{log.name} has {counted(len(log.runs), 'run')}, {few} (2 to fit and 1 to judge on at least); "
         f"record more runs or {enough}"
     )
-
-
-def _threshold(log: Log, threshold: float | None, policy: Policy) -> float:
-    level = threshold if threshold is not None else (log.meta.gap_threshold_rel or policy.worth_reporting)
-    if not 0 < level < 1:
-        raise InputError(f"Input threshold of diagnose must be between 0 and 1; instead received {level:g}.")
-    return float(level)
 
 
 # -- pieces of a recording -----------------------------------------------------------------------------------

@@ -540,7 +540,8 @@ def load_fit(
         raise InputError(
             f"File {quoted(path)} must be a calibration of format {FORMAT!r}; instead it says {found!r}."
         )
-    record, own, where = read_record(raw, path), own or {}, f"calibration {quoted(path)}"
+    own, where = own or {}, f"calibration {quoted(path)}"
+    record = structured(raw, Calibration, where, "fit the log again")
     unknown = [name for name in record.own_effects if read_text(name)[0] not in own]
     if unknown:
         raise InputError(
@@ -589,11 +590,6 @@ def load_fit(
         *map(read_correction, record.corrections), *as_corrections(wired, model.channels[: len(wired)]),
     )  # fmt: skip
     return Fit(model=model, corrections=corrections, **fields)
-
-
-def read_record(raw: Any, path: str | Path) -> Calibration:
-    """Return the JSON data of a calibration file as a record. Raises `InputError` that names the place."""
-    return structured(raw, Calibration, f"calibration {quoted(path)}", "fit the log again")
 
 
 def calibration_schema() -> dict[str, Any]:

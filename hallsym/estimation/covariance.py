@@ -40,7 +40,6 @@ from hallsym.estimation.likelihood import Cost, Point, offsets_of
 from hallsym.log import Log
 from hallsym.log.batches import Batch, Weigh, batches
 from hallsym.log.derived import extended
-from hallsym.model import Model
 from hallsym.model.influence import reading_slopes
 from hallsym.model.model import combination, linear
 
@@ -377,7 +376,9 @@ def uncertainty(point: Point, found: Determination, samples: Sequence[Samples] =
         return of_it if np.isfinite(of_it) else None
 
     combinations, lost = _combinations(cost, p, covariance, found, determined, dof_of)
-    loose = [n for k, n in enumerate(model.names) if _by_log(model, k, found, determined, at_bound)]
+    open_ = [p.width > 0 and p.name not in found.structural for p in model.parameters]
+    another = np.flatnonzero(~determined & open_ & ~np.isin(np.arange(len(p)), at_bound))  # recording
+    loose = [model.names[k] for k in another]
     return Uncertainty(
         std=np.where(determined, std, np.nan),
         determined=determined,
@@ -391,14 +392,6 @@ def uncertainty(point: Point, found: Determination, samples: Sequence[Samples] =
         goodness=fit,
         fitted=fitted,
     )
-
-
-def _by_log(
-    model: Model, k: int, found: Determination, determined: np.ndarray, at_bound: tuple[int, ...]
-) -> bool:
-    """Whether another recording could determine parameter k and this one does not."""
-    p = model.parameters[k]
-    return not determined[k] and p.name not in found.structural and p.width > 0 and k not in at_bound
 
 
 def _octaves(point: Point, moving: np.ndarray, samples: Sequence[Samples]) -> Octaves | None:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError, nearest, uncomputable
+from hallsym.errors import InputError, nearest, require, uncomputable
 from hallsym.estimation import outliers
 from hallsym.estimation.calibration import Claim, Fit
 from hallsym.estimation.claims import claims_of, described, mistakes_of
@@ -126,8 +126,8 @@ def fit(
     Raises `InputError` for a log that does not suit the model.
     """
     began, say = perf_counter(), on_progress or silent
-    _choice(solver, SOLVERS, "solver")
-    _choice(loss, LOSSES, "loss")
+    for what, word, known in (("solver", solver, SOLVERS), ("loss", loss, LOSSES)):
+        require(word in known, f"Input {what}", f"one of {', '.join(known)}", word, known)
     if seed < 0:
         raise InputError(f"Input seed must be 0 or more; instead received {seed}.")
     if holdout is not None and (isinstance(holdout, str) or not np.iterable(holdout)):
@@ -262,14 +262,6 @@ def _fit_one(log: Log, model: Model, asked: Asked, began: float) -> tuple[Fit, L
     one.task, one.solution, one.keep = one.task.by_passes(first)
     one.errors = one.task.errors(one.solution, one.keep)
     return result_of(one, began), one.given
-
-
-def _choice(name: str, known: Sequence[str], what: str) -> None:
-    if name not in known:
-        raise InputError(
-            f"Input {what} must be one of {', '.join(known)}; instead received {name!r}"
-            f"{nearest(name, list(known))}."
-        )
 
 
 ROUNDS = 12

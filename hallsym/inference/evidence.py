@@ -13,6 +13,7 @@ from hallsym.estimation.covariance import Samples, Uncertainty, uncertainty
 from hallsym.estimation.decoding import columns_of
 from hallsym.estimation.identifiable import Determination, determine
 from hallsym.estimation.likelihood import Cost, Point, cost_near
+from hallsym.estimation.prediction import is_own
 from hallsym.families import same_layout
 from hallsym.families.recording import as_read
 from hallsym.log import Log
@@ -107,7 +108,7 @@ def from_fit(known: Fit, log: Log | None = None) -> Evidence:
     assert found.likelihood is not None
     assert found.determination is not None
     assert found.source is not None
-    goodness = known.goodness if known.goodness and (log is None or _same_log(known, log)) else found.goodness
+    goodness = known.goodness if known.goodness and (log is None or is_own(known, log)) else found.goodness
     amiss = (goodness and goodness.sentence) or ""
     return _at(
         found.likelihood.at(found.values),
@@ -173,7 +174,7 @@ def _at(
 
 def _fitted_again(known: Fit, log: Log) -> tuple[Fit, tuple[str, ...]]:
     """Fit `log` from the calibration's values, as the calibration was made."""
-    model, own = known.model, _same_log(known, log)
+    model, own = known.model, is_own(known, log)
     if not own and not same_layout(model, log.meta):
         raise InputError(
             f"The probes in the meta.json of {log.name} are not those of the calibration: another machine, "
@@ -203,8 +204,3 @@ def _fitted_again(known: Fit, log: Log) -> tuple[Fit, tuple[str, ...]]:
             f"({model.names[worst]} by {moved[worst]:.0f}): another machine, or this one has changed."
         )
     return again, (note, *again.notes)
-
-
-def _same_log(known: Fit, log: Log) -> bool:
-    said = known.sha256
-    return said is not None and said == log.sha256
