@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError, nearest, require, uncomputable
+from hallsym.errors import InputError, nearest, uncomputable
 from hallsym.estimation import outliers
 from hallsym.estimation.calibration import Claim, Fit
 from hallsym.estimation.claims import claims_of, described, mistakes_of
@@ -127,7 +127,11 @@ def fit(
     """
     began, say = perf_counter(), on_progress or silent
     for what, word, known in (("solver", solver, SOLVERS), ("loss", loss, LOSSES)):
-        require(word in known, f"Input {what}", f"one of {', '.join(known)}", word, known)
+        if word not in known:
+            raise InputError(
+                f"Input {what} must be one of {', '.join(known)}; instead received {word!r}"
+                f"{nearest(word, list(known))}."
+            )
     if seed < 0:
         raise InputError(f"Input seed must be 0 or more; instead received {seed}.")
     if holdout is not None and (isinstance(holdout, str) or not np.iterable(holdout)):
