@@ -17,11 +17,10 @@ from hallsym.diagnosis.residual_table import ROOM, ResidualTable, means, slices,
 from hallsym.diagnosis.residuals import NIL, Base
 from hallsym.diagnosis.survey import SEGMENT, Survey
 from hallsym.families.mechanisms import CUT, MAINS_HZ, MAINS_REACH_HZ
-from hallsym.log import Log
 from hallsym.log.batches import batches
 from hallsym.log.core import edges_of
 from hallsym.log.quality.scan import FEWEST_SAMPLES
-from hallsym.model import Facts, Model
+from hallsym.model import Facts
 
 
 @dataclass(frozen=True)
@@ -231,7 +230,9 @@ def _slips(base: Base, r: ResidualTable, found: Survey) -> tuple[tuple[int, floa
 def facts_of(base: Base, found: Survey) -> Facts:
     """Return the facts of the log for effects; searched numbers come from the residual of `base`."""
     model, log, warm = base.model, base.log, "temperature_degc"
-    r, values = table_of(base, frozenset(log.runs)), _readings(log, model)
+    r, every = table_of(base, frozenset(log.runs)), max(1, log.rows // ROOM)
+    each = (np.array(b.columns(model.channels))[:, ::every] for b in batches(log, model.channels))
+    values = np.hstack(list(each))
     several = len(model.channels) > len(model.pose) and not model.offsets
     return Facts(
         duration_s=max(found.duration_s, 1e-6),
@@ -246,12 +247,6 @@ def facts_of(base: Base, found: Survey) -> Facts:
         on_runs=switched_runs(r) if r and several else (),
         on_runs_tried=2 ** (len(log.runs) - 1),
     )
-
-
-def _readings(log: Log, model: Model) -> np.ndarray:
-    """Return the readings, evenly decimated to about `ROOM` samples, (K, n)."""
-    thin = max(1, log.rows // ROOM)
-    return np.hstack([np.array(b.columns(model.channels))[:, ::thin] for b in batches(log, model.channels)])
 
 
 def rails_of(readings: np.ndarray, policy: Policy) -> tuple[tuple[float, float], ...]:

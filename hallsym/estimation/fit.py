@@ -468,7 +468,13 @@ class _Together:
             else:
                 one.begun = begun
             if wrong_for:
-                one.notes += outliers.too_many_note(sorted(wrong_for, key=columns.index))
+                many = (
+                    f"{100 * outliers.MADE_FOR:.0f} % of {' and '.join(sorted(wrong_for, key=columns.index))}"
+                )
+                one.notes += (
+                    f"More than {many} seem spikes, which steps, corners and rounding do too: none of them "
+                    "was left out for that.",
+                )
         return self.solve(self.asked.solver) if left < total else whole
 
     def _with_noise_left(self, state: Solution) -> Solution:

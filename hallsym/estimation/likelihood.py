@@ -274,8 +274,12 @@ class _Runs(ABC):
         self.W = np.linalg.inv(self.covariance)
         self.A, moved = R_m - self._read(self.R_f), self._read_offsets()
         r, self.z = moved.shape[:2]
-        self.offsets = self._best_offsets(moved)
-        if self.z:
+        self.offsets = np.zeros((r, self.z))
+        if self.z:  # those that minimise F: linear least squares in each run
+            L = np.linalg.cholesky(self.W)
+            along = (moved @ L[:, None]).reshape(r, self.z, -1)
+            target = (self.A @ L).reshape(r, -1, 1)
+            self.offsets = solve(along @ np.swapaxes(along, 1, 2), along @ target)[..., 0]
             self.A -= (self.offsets[:, None] @ moved.reshape(r, self.z, -1)).reshape(self.A.shape)
         self.squares = np.swapaxes(self.A, 1, 2) @ self.A
         self.values = np.einsum("rkl,rlk->r", self.W, self.squares)
@@ -300,16 +304,6 @@ class _Runs(ABC):
     @abstractmethod
     def _by_channel(self, left: np.ndarray) -> np.ndarray:
         """Return left (r, i, f) times the slopes of each channel, (r, K, i, v)."""
-
-    def _best_offsets(self, moved: np.ndarray) -> np.ndarray:
-        """Offsets that minimise F: linear least squares in each run."""
-        r, z = moved.shape[:2]
-        if z == 0:
-            return np.zeros((r, 0))
-        L = np.linalg.cholesky(self.W)
-        moved = (moved @ L[:, None]).reshape(r, z, -1)
-        target = (self.A @ L).reshape(r, -1, 1)
-        return solve(moved @ np.swapaxes(moved, 1, 2), moved @ target)[..., 0]
 
     def counted(self, weights: np.ndarray) -> "_Runs":
         """Return those of the runs whose weight is not 0: a draw of runs leaves a third of them out."""

@@ -234,11 +234,3 @@ def _expected(r: np.ndarray, median: np.ndarray, good: np.ndarray) -> tuple[np.n
         if len(good) > len(_AHEAD) + 1 and good[inside].all():
             cubic[:, at] = r[:, inside] @ _AHEAD
     return median, left, right, cubic
-
-
-def too_many_note(columns: Sequence[str]) -> tuple[str, ...]:
-    """Return a note on columns in which more samples seem spikes than the filter allows."""
-    return (
-        f"More than {100 * MADE_FOR:.0f} % of {' and '.join(columns)} seem spikes, which steps, corners and "
-        "rounding do too: none of them was left out for that.",
-    )
