@@ -102,31 +102,45 @@ PER_PERIOD = 12
 
 
 def _spacing(base: Base, rows: int) -> int:
-    """Return the decimation that leaves about `rows`, or less of one if motion or mains need it.
+    """Return the decimation that leaves about `rows`, or less of one if motion or mains need it."""
+    known, every = 1, -(-base.log.rows // rows)
+    beyond = every + 1
+    while beyond - known > 1:
+        known, beyond = (every, beyond) if _resolved(base, every) else (known, every)
+        every = (known + beyond) // 2
+    return known
 
-    A sine of n samples a period steps by 2 pi / n of its own rms; the period of any motion is taken from its
-    rms and that of its steps, without the noise in both. No coordinate that repeats loses a turn.
+
+def _resolved(base: Base, every: int) -> bool:
+    """Return whether a decimation resolves the motion, its turns, and the mains.
+
+    A sine of `PER_PERIOD` samples a period has second differences of (2 sin(pi / PER_PERIOD))^2 of itself;
+    six times the variance of the noise is in them too.
     """
-    model, interval, count = base.model, list[float](), 0
-    moved, stepped = np.zeros((2, len(model.pose)))
+    model, step, count = base.model, list[float](), 0
+    moved, bent, stepped = np.zeros((3, len(model.pose)))
     period = np.array([model.period.get(c, np.inf) for c in model.pose])
     for block in base.log.blocks(("t_s", *model.references), 1 << 16):
-        t, x = block.data["t_s"], np.array([block.data[c] for c in model.references])
+        t, x = block.data["t_s"][::every], np.array([block.data[c] for c in model.references])
         if len(t) < FEWEST_SAMPLES:
             continue
         x = np.array([v if np.isinf(p) else np.unwrap(v, period=p) for v, p in zip(x, period, strict=True)])
-        interval.append(float(np.median(np.diff(t))))
+        stepped += (np.diff(x) ** 2).mean(axis=1) * len(t)  # at the full rate, where no turn is lost
+        x = x[:, ::every]
+        step.append(float(np.median(np.diff(t))))
         moved += x.var(axis=1) * len(t)
-        stepped += (np.diff(x) ** 2).mean(axis=1) * len(t)
+        bent += (np.diff(x, 2) ** 2).sum(axis=1) * len(t) / (len(t) - 2)
         count += len(t)
     if not count:
-        return 1
+        return False
     noise = np.array([base.sigma.get(c, 0.0) ** 2 for c in model.references])
-    moved, stepped = (moved / count - noise).clip(0.0), (stepped / count - 2 * noise).clip(1e-300)
     weights = base.pose_weights**2
-    samples = 2 * np.pi * np.sqrt(weights @ moved / (weights @ stepped)), *(period / np.sqrt(stepped))
-    most = 1 / (2 * (MAINS_HZ[-1] + MAINS_REACH_HZ) * np.median(interval))
-    return int(np.clip(min(most, min(samples) / PER_PERIOD), 1, -(-base.log.rows // rows)))
+    most = (2 * np.sin(np.pi / PER_PERIOD)) ** 4
+    return bool(
+        weights @ (bent / count - 6 * noise) <= most * (weights @ (moved / count - noise).clip(0.0))
+        and (every * np.sqrt((stepped / count - 2 * noise).clip(0.0)) * PER_PERIOD <= period).all()
+        and 2 * (MAINS_HZ[-1] + MAINS_REACH_HZ) * np.median(step) <= 1
+    )
 
 
 def machine_of(base: Base, floor_m: float, stated: Collection[str] | None = None) -> SimulatedMachine:
