@@ -166,8 +166,8 @@ def _enclosed(op: str, args: list[Enclosure], room: float = 0.0) -> Enclosure:
     low, high = _RANGES[op](*args)
     if op not in EXACT:
         unknown = np.isnan(low) | np.isnan(high)
-        low = np.where(unknown, -np.inf, low - ((ULPS + room) * np.abs(low) + 1e-300))
-        high = np.where(unknown, np.inf, high + ((ULPS + room) * np.abs(high) + 1e-300))
+        low = np.where(unknown, -np.inf, low - ((ULPS + room) * np.abs(low) + (TINY if room else 1e-300)))
+        high = np.where(unknown, np.inf, high + ((ULPS + room) * np.abs(high) + (TINY if room else 1e-300)))
     return Enclosure(low, high)
 
 

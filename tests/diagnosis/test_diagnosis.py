@@ -146,6 +146,17 @@ def test_tangents_predict_what_a_refit_finds() -> None:
     assert refit(with_model(start.base, wide), runs).cost == pytest.approx(expected, rel=0.02)
 
 
+def test_the_uncertainty_of_a_log_of_which_pieces_hold_holdout_runs_alone(monkeypatch) -> None:
+    """That of the log in one piece, as far as slow octaves of short pieces tell."""
+    log = machine("multisine", seed=1)
+    fitted = refit(
+        base_of(log, hallsym.fit(log, "stage31", solver="direct")), [r for r in log.runs if r != 3]
+    )
+    whole = np.diag(fitted.uncertainty()[0])
+    monkeypatch.setattr("hallsym.diagnosis.normal_equations.ENTRIES", 1)
+    assert np.diag(fitted.uncertainty()[0]) == pytest.approx(whole, rel=0.25)
+
+
 def test_many_runs_are_pooled_and_change_nothing_of_the_sums() -> None:
     log = machine("multisine", seed=1)
     arrays = {c: log.array(c) for c in log.columns}
