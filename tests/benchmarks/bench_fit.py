@@ -23,7 +23,7 @@ from scipy import optimize, sparse
 
 from hallsym.estimation import Fit, fit
 from hallsym.estimation.factors import summarise
-from hallsym.estimation.identifiable import determine
+from hallsym.estimation.identifiable import Determination, determine
 from hallsym.estimation.likelihood import Cost, cost_of
 from hallsym.estimation.optimum import closed_form, linear_fit, refit
 from hallsym.families import build, published
@@ -227,13 +227,13 @@ def compare(samples: int, turns: int) -> None:
 def uncertainty(found: Fit, hybrid: float, turns: int) -> None:
     """Print what a report, refits and profiles cost beside a default fit, and how pyPESTO's compare."""
     cost, p = found.likelihood, found.values
-    held, known = determine(cost, p).fixed, {c.expression: c for c in MODEL.combinations}
+    determined, known = determine(cost, p), {c.expression: c for c in MODEL.combinations}
     stated = [(parameter(MODEL, n), found.std[k]) for k, n in enumerate(MODEL.names) if found.determined[k]]
     stated += [(combination(MODEL, known[c.expression]), c.std) for c in found.combinations]
     anchored = cost.anchored(p)
 
     def profiles() -> dict[str, Any]:
-        return {q.name: profile(anchored, p, q, fixed=held, std=s) for q, s in stated}
+        return {q.name: profile(anchored, p, q, found=determined, std=s) for q, s in stated}
 
     seconds, ours = least(turns, profiles)
     rows = [
@@ -244,25 +244,27 @@ def uncertainty(found: Fit, hybrid: float, turns: int) -> None:
     for name, taken in rows:
         print(f"| {name} | {taken:.3g} | {taken / hybrid:.3g} |")
     try:
-        taken, ends = pypesto_profiles(cost, p, held)
+        taken, ends = pypesto_profiles(cost, p, determined)
     except ImportError:
         print("\npyPESTO: not installed: skipped")
         return
     print(f"\npyPESTO: {taken / len(PEER):.3g} s a profile")
     for name, theirs in ends.items():
-        std = tangent(cost, p, ours[name].quantity, held).std
+        std = tangent(cost, p, ours[name].quantity, determined).std
         off = np.abs((np.array(ours[name].interval) - ours[name].value) / std - theirs).max()
         print(f"{name}: ends differ by {off:.1e} standard uncertainties")
 
 
-def pypesto_profiles(cost: Cost, p: np.ndarray, held: tuple[int, ...]) -> tuple[float, dict[str, np.ndarray]]:
+def pypesto_profiles(
+    cost: Cost, p: np.ndarray, determined: Determination
+) -> tuple[float, dict[str, np.ndarray]]:
     """Seconds that pyPESTO takes for the profiles of `PEER`, and their ends in units of std."""
     import pypesto
     from pypesto.optimize import ScipyOptimizer
     from pypesto.profile import parameter_profile
 
-    free = np.array([k for k in range(len(p)) if k not in held])
-    std = np.array([tangent(cost, p, parameter(MODEL, MODEL.names[k]), held).std for k in free])
+    free = np.array([k for k in range(len(p)) if k not in determined.fixed])
+    std = np.array([tangent(cost, p, parameter(MODEL, MODEL.names[k]), determined).std for k in free])
     base = cost.at(p).value
 
     def at(x: np.ndarray) -> np.ndarray:
