@@ -114,7 +114,7 @@ def shrinkage_on(log, before, after) -> float:
         zeros = dict.fromkeys(log.runs, np.zeros(len(base.model.offsets)))
         there = replace(base, log=log, offsets=zeros, keep=None, holdout=frozenset())
         t = normal_equations(there)
-        metric.append(np.sqrt(t.output[:, -1, -1].sum()))
+        metric.append(np.sqrt(t.decoded.border[:, -1, -1].sum()))
     return 1 - metric[1] / metric[0]
 
 
