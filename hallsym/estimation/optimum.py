@@ -30,7 +30,7 @@ class LinearFit:
     """Unconstrained coefficients of a merged cost, shape (n_features, n_channels).
 
     `moved`: which features moved. `unexplained`: (n_channels,) unexplained share of each channel's variance,
-    0 for a channel with noise only.
+    0 for a channel with noise only, in its readings or in what the nominal model expects of this motion.
     """
 
     coefficients: np.ndarray
@@ -53,7 +53,8 @@ def linear_fit(cost: Cost) -> LinearFit:
     coefficients[moved] += change / size[moved, None]
     left = target - (R_f / size)[:, moved] @ change
     total = np.einsum("ij,ij->j", R_m, R_m)
-    heard = total > MOVED * cost.summary.counts[0] * cost.reading_variance
+    follows = np.einsum("ij,ij->j", followed := R_f @ nominal, followed)
+    heard = np.minimum(total, follows) > MOVED * cost.summary.counts[0] * cost.reading_variance
     share = np.einsum("ij,ij->j", left, left) / np.maximum(total, 1e-300)
     return LinearFit(coefficients, moved, np.where(heard, share, 0.0))
 
@@ -81,7 +82,7 @@ def unrelated(model: Model, unexplained: np.ndarray, where: str) -> tuple[Fault,
     explained = 100 * max(1 - float(unexplained[model.channels.index(far[0])]), 0.0)
     return (
         Fault(
-            f"The reference of {where} explains only {explained:.0f} % of the variation of {far[0]} "
+            f"{where}: the reference explains only {explained:.0f} % of the variation of {far[0]} "
             "(expected more than 90 %); it does not belong to these readings, or outliers hide that it "
             "does: check file, clock and columns, or fit with --loss auto.",
             UNRELATED, far,

@@ -42,7 +42,7 @@ from hallsym.estimation.goodness_of_fit import (
     with_noise,
 )
 from hallsym.estimation.identifiable import Determination
-from hallsym.estimation.likelihood import Cost, Point, cost_of, deviations_of
+from hallsym.estimation.likelihood import Cost, Point, cost_near, cost_of, deviations_of
 from hallsym.estimation.optimum import DROP, LinearFit, Solution, linear_fit, optimum
 from hallsym.families import adapted, added_effects, build, default_model, plain
 from hallsym.families.recording import Correction, corrected
@@ -300,6 +300,17 @@ class Task:
         residual = residuals(self.model, state.p, state.offsets())
         covariance = state.point.covariance.mean(axis=0)
         return outliers.reject_spikes(residual, covariance, suspects, self.model.channels)
+
+
+def without_spikes(fit: Fit, log: Log) -> outliers.Filter:
+    """Return weights that leave out isolated spikes of the fit's residual on a log."""
+    model, cost = fit.model, cost_near(log, fit.model, fit.values, fit.noise.std)
+    seen, none = cost.summary, np.zeros(len(model.offsets))
+    read = np.array([fit.offsets.get(run, none) for run in seen.runs])
+    offsets = dict(zip(seen.runs, read / model.zero_scale(fit.values, seen.first_state), strict=True))
+    suspects = outliers.column_spikes((*model.references, *model.channels))
+    covariance = cost.at(fit.values).covariance.mean(axis=0)
+    return outliers.reject_spikes(residuals(model, fit.values, offsets), covariance, suspects, model.channels)
 
 
 @dataclass(eq=False)

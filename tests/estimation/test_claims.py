@@ -19,7 +19,9 @@ from hallsym.families import build, published
 from hallsym.families.recording import Correction, as_corrections, corrected, read_correction
 from hallsym.log import Log, Meta, Noise, Sigma
 from hallsym.simulation import NoiseModel, paper_campaign, simulate
+from hallsym.simulation.campaign import Campaign, Run
 from hallsym.simulation.paper import VERTICAL_NOISE
+from hallsym.simulation.signals import ramp, sine
 
 SIGMA = dict.fromkeys(HALL, 5e-7) | {"x_ref_m": 1e-6, "y_ref_m": 1.4e-6, "rz_ref_rad": 5e-7} | VERTICAL_NOISE
 WIRINGS = [(p, s) for p in permutations(range(3)) for s in product((1, -1), repeat=3)]
@@ -370,3 +372,32 @@ def test_trials_of_a_mover_end_where_newton_does(monkeypatch):
         arrays, Noise.given(drawn.stated, tuple(arrays)), Meta(base_model=drawn.model, probes=drawn.probes)
     )
     assert [c.correction for c in fit(log, drawn.built).claims] == ["sign x2_col_1_v"]
+
+
+@pytest.mark.slow
+def test_ends_of_runs_that_only_the_model_without_effects_misses_are_no_claim():
+    """That model leaves five samples a wave in fast runs; the spikes at the ends are of its gap."""
+    model = build("rotary", added=("time_skew", "third_harmonic_distortion"))
+    speeds = [13, -13, 26, -26, 40, -40] * 2 + [160, -160] * 4
+    runs = tuple(Run(1.0, {}, {"angle_rad": ramp(speed)}) for speed in speeds)
+    values = {"Vx": 6e-3, "Vy": -9e-3, "Ay": 1.01, "beta": 0.012, "zero": 0.6, "delay": 60e-6}
+    values |= {"third_harmonic_distortion_m3_re": 0.004}
+    noise = NoiseModel({"v_sin_v": 3.5e-4, "v_cos_v": 3.5e-4, "angle_ref_rad": 2e-5})
+    columns = simulate(model, values, Campaign(2e-3, runs), noise, seed=8)
+    assert names_of(Log.from_arrays(columns), model) == []
+
+
+def test_a_reading_whose_axis_is_at_rest_is_not_of_another_recording():
+    """One run along x; the Hall of y has hum only. A reference of another motion is claimed all the same."""
+    model = build("stage31")
+    run = Run(2.0, {}, {"x_m": sine(3e-4, 1.0)})
+    noise = NoiseModel(dict.fromkeys((*model.channels, *model.references), 1e-7))
+    columns = simulate(model, {}, Campaign(2e-3, (run,)), noise, seed=3)
+    columns["hall_b_m"] += 2e-6 * np.sin(2 * np.pi * 7 * columns["t_s"])
+    assert "unrelated" not in names_of(Log.from_arrays(columns), model)
+    columns["x_ref_m"] = np.random.default_rng(0).permutation(columns["x_ref_m"])
+    assert "unrelated" in names_of(Log.from_arrays(columns), model)
+
+
+def names_of(log, model):
+    return [claim.name for claim in fit(log, model, solver="direct").claims]

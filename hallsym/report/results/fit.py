@@ -9,11 +9,10 @@ from typing import Any
 from hallsym.errors import InputError, counted
 from hallsym.estimation import Fit, evaluate
 from hallsym.estimation.calibration import MANY, LogRecord, coverage_factor, rmse_interval
-from hallsym.estimation.decoding import ErrorTable, residuals
+from hallsym.estimation.decoding import ErrorTable
 from hallsym.estimation.goodness_of_fit import diagnose_command
-from hallsym.estimation.likelihood import cost_near
-from hallsym.estimation.outliers import column_spikes, reject_spikes
-from hallsym.estimation.prediction import Decoder, is_own
+from hallsym.estimation.prediction import is_own
+from hallsym.estimation.task import without_spikes
 from hallsym.families import added_effects
 from hallsym.families.recording import as_read
 from hallsym.log import Log, Weigh, as_log
@@ -241,7 +240,7 @@ def page_content(log: Log, fit: Fit, *, command: str = "", calibration: str = "c
         log, fit = seen.decoded, seen.applied.changed(goodness=goodness)
     found = gather(log, fit, label="fitted", nominal=True)
     if same and _above_recorded(found, fit):
-        found = gather(log, fit, label="fitted", keep=_spikes(log, fit), nominal=True)
+        found = gather(log, fit, label="fitted", keep=without_spikes(fit, log), nominal=True)
     errors = _errors(fit, found.survey.fitted, None if same and fit.error_rows else found.survey.nominal)
     said = fit_content(fit)
     notes = [*circumstances(fit), *_notes(log, fit, found, same)]
@@ -348,19 +347,6 @@ def _above_recorded(found: Gathered, fit: Fit) -> bool:
     if not known or peak is None:
         return False
     return any(v > 1.001 * max(row[c] for row in known) for c, v in peak["peak"].items())
-
-
-def _spikes(log: Log, fit: Fit) -> Weigh:
-    """Return weights that leave out isolated spikes by the rule of the fit."""
-    model, cost = fit.model, cost_near(log, fit.model, fit.values, fit.noise.std)
-    place = Decoder(fit)
-    offsets = {
-        run: place.offsets(run, state)
-        for run, state in zip(cost.summary.runs, cost.summary.first_state, strict=True)
-    }
-    suspects = column_spikes((*model.references, *model.channels))
-    covariance = cost.at(fit.values).covariance.mean(axis=0)
-    return reject_spikes(residuals(model, fit.values, offsets), covariance, suspects, model.channels)
 
 
 # -- picture: errors by setting -------------------------------------------------------------------------
