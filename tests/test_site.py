@@ -111,7 +111,7 @@ def test_a_browser_finds_no_fault(site, chromium, name):
     seen = chromium.look(site / f"{name}.html", "--window-size=1300,900")
     assert faults_of(seen) == []
     assert (seen["pictures"] > 0) == (name in SHOWN)
-    assert (seen["formulas"] > 5) == (name in SET)
+    assert (seen["formulas"] > 4) == (name in SET)
     assert seen["background"] == "rgb(255, 255, 255)"
 
 

@@ -48,8 +48,8 @@ ALONE = 1e-3
 STEEP, BEND = 2 * np.log(2.0), np.log(2.0)
 """Change of the logarithm of the power of noise from octave to octave, that of a random walk, and the change
 of that slope: white noise becomes 1/f noise within an octave."""
-PARTS = 0.01, 0.03, 0.1, 0.3, 1.0
-"""Parts of that change that are tried."""
+PARTS, STEPS = (0.01, 0.03, 0.1, 0.3, 1.0), 30
+"""Parts of that change that are tried, and steps of each, which raise a logarithm by at most 1."""
 WHITE, CHANCE = 1.2, 0.05
 """Ratio of the variances of noise in two octaves that must be seen before it counts as white, since it makes
 a standard uncertainty a tenth too small; and the probability that white noise does not count as white."""
@@ -134,23 +134,29 @@ class Octaves:
         """Return the variance of the noise in each octave and its degrees of freedom, (octaves,).
 
         `left`: (octaves,) values of the residual that parameters do not take. The logarithm of the variance
-        is smoothed by differences of `STEEP` and `BEND` (E. T. Whittaker, Proc. Edinb. Math. Soc. 41
-        (1922) 63, doi:10.1017/S0013091500077853): of the slowest octaves parameters leave little or nothing,
-        and they continue the slope of the faster ones. The part of both that is most likely counts: none for
-        white noise, whose variance all octaves tell together.
+        is likeliest (P. Whittle, Bull. Int. Stat. Inst. 39 (1962) 105) with differences of `STEEP` and
+        `BEND`: of the slowest octaves parameters leave little or nothing, and they continue the slope of the
+        faster ones. The part of both that is most likely counts: none for white noise, whose variance all
+        octaves tell together.
         """
         seen = np.maximum(left, 1e-3)
-        size = np.log(np.maximum(self.products[:, -1, -1], 1e-300) / seen) + 1.0 / np.maximum(seen, 2.0)
+        power = self.products[:, -1, -1] / seen
         slope, bend = (np.diff(np.eye(len(seen)), k, axis=0) for k in (1, 2))
         prior = slope.T @ slope / STEEP**2 + bend.T @ bend / BEND**2
         weight = np.where(seen > 1.0, 0.5 * seen, 0.0)
+        start = np.log(max(float(weight @ power), 1e-300) / max(float(weight.sum()), 1e-300))
 
         def smoothed(part: float) -> tuple[float, np.ndarray, np.ndarray]:
             total = np.diag(weight) + prior / part**2
-            covariance = pseudo_inverse(total)
-            found = covariance @ (weight * size)
-            gained = float(weight * size @ found) - float(np.linalg.slogdet(total)[1])
-            return gained - 2 * (len(seen) - 1) * np.log(part), found, np.diag(covariance)
+            covariance, found = pseudo_inverse(total), np.full(len(seen), start)
+            for _ in range(STEPS):  # Fisher's scoring
+                ratio = np.minimum(power * np.exp(-found), 2.0)
+                found = found + covariance @ (weight * (ratio - 1.0) - prior @ found / part**2)
+            lost = (
+                2 * float(weight @ (found + power * np.exp(-found))) + float(found @ prior @ found) / part**2
+            )
+            gained = -lost - float(np.linalg.slogdet(total)[1]) - 2 * (len(seen) - 1) * np.log(part)
+            return gained, found, np.diag(covariance)
 
         _, found, variance = max(map(smoothed, PARTS), key=itemgetter(0))
         return np.exp(found), 2.0 / variance
@@ -575,6 +581,10 @@ def estimated(
         inverse = pseudo_inverse(information)
         each, left = octaves.scores(inverse)
         noise, kind, scale, size = each.sum(axis=0), "noise of this spectrum", 1.0, 1.0
+        if more is not None:  # what the spectrum makes of white noise, it makes of noise that varies too
+            root, varying = _root(information), _root(information + more)
+            inner = pseudo_inverse(root)
+            noise, more = varying @ inner @ noise @ inner @ varying, None
         method, said = BY_OCTAVES, f"{octaves.said}; "
 
         def of_octaves(gradients: np.ndarray) -> np.ndarray:
@@ -595,6 +605,12 @@ def estimated(
         return replace(by_noise, reason=said)
     found = Estimated(scatter.covariance(scale), BY_RUNS, said, scatter.degrees_of_freedom_of)
     return found if octaves is None else _larger(found, by_noise)
+
+
+def _root(matrix: np.ndarray) -> np.ndarray:
+    """Return the symmetric root of a covariance."""
+    values, axes = np.linalg.eigh(matrix)
+    return np.asarray((axes * np.sqrt(np.maximum(values, 0.0))) @ axes.T)
 
 
 def _larger(by_runs: Estimated, by_noise: Estimated) -> Estimated:

@@ -116,7 +116,7 @@ def test_what_has_no_unit_is_written_as_a_comment() -> None:
     text = made.to_toml("lab.csv")
     assert '# temperature_UNIT = "Temp"' in text or 'temperature_degc = "Temp"' in text
     assert "hall" not in text.split("[columns]")[1]
-    with pytest.raises(InputError, match="No column of the file holds numbers"):
+    with pytest.raises(InputError, match="must hold numbers; it holds words"):
         suggest(open_source({"Words": ["a"] * 100})[2])
 
 
