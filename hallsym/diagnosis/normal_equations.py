@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.diagnosis.residuals import NIL, Base
+from hallsym.estimation.covariance import ENTRIES
 from hallsym.estimation.decoding import columns_of
 from hallsym.estimation.factors import pseudo_inverse, solve
 from hallsym.log import Log
@@ -246,8 +247,6 @@ NONE = slice(0, 0)
 """Columns of no candidate."""
 UNITS = 64
 """Most runs whose matrices are kept singly; of more, neighbouring runs are pooled."""
-ENTRIES = 500_000
-"""Derivatives of the readings, and products of them, in memory at once: 4 MB each."""
 
 
 def normal_equations(

@@ -530,7 +530,7 @@ class Tried:
 
 
 def _screen(trials: Trials, base: Tried, runs: Sequence[int], *, free: bool) -> Callable[[Correction], float]:
-    """Return what tells the share of what is left that a correction leaves in some runs, without its fit.
+    """Return a function of the share of the residual that a correction leaves in some runs, without its fit.
 
     `free`: at parameters of its own: where a fit begins, the optimum of the tangent at `base`, or, as no
     tangent knows offsets of runs where no reading follows, of a few runs. Else at those of `base`.

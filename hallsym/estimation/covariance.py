@@ -56,7 +56,7 @@ a standard uncertainty a tenth too small; and the probability that white noise d
 ENOUGH = 100_000
 """Samples from which the residual is judged to be white or not: whole runs, evenly spread."""
 ENTRIES = 500_000
-"""Numbers of the columns of a piece of a log in memory at once: 4 MB."""
+"""Derivatives of the readings, or products of them, in memory at once: 4 MB each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,9 +113,9 @@ class Octaves:
 
     @property
     def white(self) -> bool:
-        """Whether the variances of the residual in all octaves certainly are alike, within about `WHITE`.
+        """Whether the variances of the residual in all octaves are certainly equal, within about `WHITE`.
 
-        All are known as well as that, and differ no more than by chance (likelihood ratio).
+        All are estimated as well as that, and differ no more than by chance (likelihood ratio).
         """
         seen = self.values >= 1.0
         values, power = self.values[seen], self.products[seen, -1, -1] / self.values[seen]

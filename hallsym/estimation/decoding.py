@@ -71,8 +71,8 @@ class Errors(Mapping[str, "dict[str, dict[str, float]] | None"]):
         """Return one row; None of one without a run."""
         if row == "designed":
             return self.designed.over()
-        held = {"fitted": False, "holdout": True}[row]
-        return self.fitted.over([run for run in self.fitted.runs if (run in self.holdout) == held])
+        judging = {"fitted": False, "holdout": True}[row]
+        return self.fitted.over([run for run in self.fitted.runs if (run in self.holdout) == judging])
 
     def __iter__(self) -> Iterator[str]:
         """Yield the names of the rows."""
