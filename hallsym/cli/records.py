@@ -107,7 +107,7 @@ class ModelInfo(TypedDict):
     channels: list[str]
     parameters: list[Record]
     combinations: list[Record]
-    zeros: list[Record]
+    offsets: list[Record]
     can_take: list[str]
 
 

@@ -113,7 +113,7 @@ class _Interval:
         return None if self.std is None else (self.value - half, self.value + half)
 
 
-class FittedParameter(_Interval, _Record, frozen=True, rename={"fixed": "held"}):
+class FittedParameter(_Interval, _Record, frozen=True):
     """One parameter in SI; `std` is None where the data do not determine it, a bound where there is none."""
 
     value: float
@@ -540,6 +540,10 @@ def load_fit(
         raise InputError(
             f"File {quoted(path)} must be a calibration of format {FORMAT!r}; instead it says {found!r}."
         )
+    entries = raw.get("parameters")
+    for entry in entries.values() if isinstance(entries, dict) else ():
+        if isinstance(entry, dict) and "held" in entry:  # the name that an earlier version gave it
+            entry["fixed"] = entry.pop("held")
     own, where = own or {}, f"calibration {quoted(path)}"
     record = structured(raw, Calibration, where, "fit the log again")
     unknown = [name for name in record.own_effects if read_text(name)[0] not in own]

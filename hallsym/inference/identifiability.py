@@ -393,12 +393,12 @@ class Offsets:
     def to_dict(self) -> dict[str, Any]:
         """Return how many there are, their sizes and each of them."""
         if not self.names:
-            return {"count": 0, "zeros": {}}
+            return {"count": 0, "offsets": {}}
         runs = {
             str(run): {n: {"value": v, "std": s} for n, v, s in zip(self.names, values, std, strict=True)}
             for run, values, std in zip(self.runs, self.values.tolist(), self.std.tolist(), strict=True)
         }
-        return {"count": self.values.size, "zeros": self.sizes(), "runs": runs}
+        return {"count": self.values.size, "offsets": self.sizes(), "runs": runs}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

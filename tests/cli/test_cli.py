@@ -208,11 +208,11 @@ def test_info_explains_a_model(run, name):
     record = json.loads(run("info", name, "--json")[1])
     model = build(name)
     assert [p["name"] for p in record["parameters"]] == list(model.names)
-    assert all(p["unit"] and p["meaning"] for p in (*record["parameters"], *record["zeros"]))
+    assert all(p["unit"] and p["meaning"] for p in (*record["parameters"], *record["offsets"]))
     assert [p["column"] for p in record["pose"]] == list(model.pose)
     assert "hysteresis" in record["can_take"]
     assert not set(model.effects) & set(record["can_take"])
-    for entry in (*record["parameters"], *record["zeros"]):
+    for entry in (*record["parameters"], *record["offsets"]):
         assert entry["meaning"] in out
     assert ("repeats every 6.28319 rad" in out) == bool(model.period)
 

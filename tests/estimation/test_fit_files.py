@@ -62,6 +62,8 @@ def test_saving_and_loading_keeps_every_field(rich, tmp_path):
     assert (back.model.name, back.model.effects, back.model.layout) == (
         rich.model.name, rich.model.effects, rich.model.layout,
     )  # fmt: skip
+    path.write_text(path.read_text().replace('"fixed"', '"held"'))  # as an earlier version of the format
+    assert load_fit(path).to_dict() == rich.to_dict()
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,7 @@ def model_record(model: Model) -> dict[str, Any]:
         "channels": list(model.channels),
         "parameters": [{"name": p.name, **_entry(p)} for p in model.parameters],
         "combinations": [{"expression": c.expression, "unit": c.unit} for c in model.combinations],
-        "zeros": [{"name": z.name, **_entry(z)} for z in model.offsets],
+        "offsets": [{"name": z.name, **_entry(z)} for z in model.offsets],
         "can_take": sorted(
             name
             for name, effect in effects(model.family).items()
@@ -69,7 +69,7 @@ def model_content(record: Mapping[str, Any]) -> Content:
         names = ", ".join(c["expression"] for c in record["combinations"])
         blocks.append(f"combinations that may be determined where parameters are not: {names}")
     blocks.append(
-        _table("offset of each run", record["zeros"]) if record["zeros"] else "offsets of each run: none"
+        _table("offset of each run", record["offsets"]) if record["offsets"] else "offsets of each run: none"
     )
     blocks.append(f"effects it can take (--effect): {', '.join(record['can_take']) or 'none'}")
     title = f"{record['model']}, a model of the family {record['family']}"
