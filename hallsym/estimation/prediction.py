@@ -2,53 +2,101 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit
-from hallsym.estimation.decoding import decoder, logged_columns, nominal_variance
+from hallsym.estimation.decoding import (
+    ErrorTable,
+    columns_of,
+    decoder,
+    error_tables,
+    logged_columns,
+    nominal_variance,
+    pose_errors,
+)
 from hallsym.estimation.evaluate import evaluate
 from hallsym.families.recording import as_read
-from hallsym.log import Block, Log, as_log
+from hallsym.log import Block, Log, Weigh, as_log
+from hallsym.log.batches import SIZE
 from hallsym.log.derived import extended
 from hallsym.log.phase import designed
+from hallsym.model import Model
+
+NOMINAL, FITTED = "nominal", "fitted"
 
 
-class Decoder:
-    """Pose of a block by the nominal or by the fitted parameters, (n_pose, samples) each."""
+@dataclass(frozen=True, eq=False)
+class Decoded:
+    """A log and versions of a model that decode it: parameters (n,), offsets by run, variance of readings.
 
-    def __init__(self, fit: Fit) -> None:
-        """Compile the decoder of the fit's model."""
-        self.fit, self.model = fit, fit.model
-        self._nominal = designed(fit.model, fit.values)
-        variance = np.array([fit.noise[c].value ** 2 for c in fit.model.channels])
-        self._decode_nominal = decoder(fit.model, nominal_variance(fit.model, variance))
-        self._decode = decoder(fit.model, variance)
+    `sigma`: noise by column and `values`: parameters (n,), for the columns that are computed. Samples to
+    which `keep` gives weight 0 (outliers) do not count.
+    """
 
-    def offsets(self, run: int, first_state: np.ndarray) -> np.ndarray:
-        """Return the displacements delta / phi(0) of one run, Eq. (31)."""
-        delta = self.fit.offsets.get(run)
-        if delta is None or not len(self.model.offsets):
-            return np.zeros(len(self.model.offsets))
-        return np.asarray(delta) / self.model.zero_scale(self.fit.values, first_state)
+    log: Log
+    model: Model
+    versions: Mapping[str, tuple[np.ndarray, Mapping[int, np.ndarray], np.ndarray]]
+    sigma: Mapping[str, float]
+    values: np.ndarray
+    keep: Weigh | None = None
 
-    def pose(self, block: Block, offsets: np.ndarray | None) -> np.ndarray:
-        """Return the pose by the fitted parameters and `offsets` of the run; without offsets by the nominal.
+    def tables(self) -> dict[str, ErrorTable]:
+        """Return the errors of each version by run, from one pass."""
+        versions = [(p, offsets) for p, offsets, _ in self.versions.values()]
+        variances = np.array([variance for *_, variance in self.versions.values()])
+        found = error_tables(
+            self.log, self.model, versions, variances, self.keep, sigma=self.sigma, computed_at=self.values
+        )
+        return dict(zip(self.versions, found, strict=True))
 
-        Near the reference where the block has one and the pose repeats.
+    def blocks(self, *more: str) -> Iterator[tuple[Block, np.ndarray]]:
+        """Yield each block, with `more` columns, and its errors (versions, n_pose, samples) in SI.
+
+        Errors are nan where a sample does not count.
         """
-        model = self.model
-        readings, state = ([block.data[c] for c in names] for names in (model.channels, model.state))
-        known = set(model.references) <= set(block.data)
-        reference = np.array([block.data[c] for c in model.references]) if known else None
-        if offsets is None:
-            return self._decode_nominal(
-                self._nominal, np.zeros(len(model.offsets)), readings, state, reference
-            )
-        return self._decode(self.fit.values, offsets, readings, state, reference)
+        model, none = self.model, np.zeros(len(self.model.offsets))
+        each = [(pose_errors(model, variance), p, own) for p, own, variance in self.versions.values()]
+        wide = extended(self.log, model, self.sigma, model.named(self.values))
+        for block in wide.blocks(tuple(dict.fromkeys((*columns_of(model), *more))), size=SIZE):
+            found = [errors(p, own.get(block.run, none), block.data) for errors, p, own in each]
+            kept = True if self.keep is None else self.keep(block) > 0
+            yield block, np.where(kept, found, np.nan)
+
+
+def decoded(
+    log: Log, fit: Fit, keep: Weigh | None = None, *, label: str = FITTED, nominal: bool = True
+) -> Decoded:
+    """Return a log, as the model reads it, decoded by nominal parameters and by those of a fit, `label`."""
+    model, variance = fit.model, reading_variance(fit)
+    none = dict[int, np.ndarray]()
+    plain = {NOMINAL: (designed(model, fit.values), none, nominal_variance(model, variance))}
+    versions = (plain if nominal else {}) | {label: (fit.values, read_offsets(fit, log), variance)}
+    return Decoded(log, model, versions, fit.noise.std, fit.values, keep)
+
+
+def reading_variance(fit: Fit) -> np.ndarray:
+    """Return the variance of the noise of each channel, (K,)."""
+    return np.array([fit.noise[c].value ** 2 for c in fit.model.channels])
+
+
+def read_offsets(fit: Fit, log: Log) -> dict[int, np.ndarray]:
+    """Return what the zero deviations of each run add to its readings, delta / phi(0) of Eq. (31)."""
+    model, first = fit.model, dict[int, np.ndarray]()
+    if not model.offsets or not fit.offsets:
+        return {}
+    wide = extended(log, model, fit.noise.std, model.named(fit.values))
+    for block in wide.blocks(model.state or model.channels[:1]):
+        first.setdefault(block.run, np.array([block.data[c][0] for c in model.state]))
+    return {
+        run: np.asarray(fit.offsets[run]) / model.zero_scale(fit.values, state)
+        for run, state in first.items()
+        if fit.offsets.get(run) is not None
+    }
 
 
 def is_own(fit: Fit, log: Log) -> bool:
@@ -68,32 +116,36 @@ def predicted(fit: Fit, frame: Any) -> dict[str, np.ndarray]:
         )
     known = fit if is_own(fit, log) else fit.changed(zero_deviations={})
     read = as_read(log, model, fit.corrections) if referenced else log
-    return _decoded(known, read, model.references if referenced else (), errors=False)
+    decode, offsets = decoder(model, reading_variance(fit)), read_offsets(known, read)
+    none = np.zeros(len(model.offsets))
+    wide = extended(read, model, fit.noise.std, model.named(fit.values))
+
+    def poses() -> Iterator[tuple[Block, np.ndarray]]:
+        for block in wide.blocks((*(model.references if referenced else ()), *model.state, *model.channels)):
+            readings, state, near = (
+                [block.data[c] for c in names if c in block.data]
+                for names in (model.channels, model.state, model.references)
+            )
+            yield block, decode(fit.values, offsets.get(block.run, none), readings, state, near or None)
+
+    return _by_sample(log, model, poses())
 
 
 def residuals_on(fit: Fit, frame: Any) -> dict[str, np.ndarray]:
     """Return `{"run": (n,), x_m: (n,), ...}`: what `Fit.residuals` says."""
     log = as_log(frame, fit.columns, fit.read_with)
-    if is_own(fit, log):
-        return _decoded(fit, as_read(log, fit.model, fit.corrections), fit.model.references, errors=True)
-    seen = evaluate(fit, log)
-    return _decoded(seen.applied, seen.decoded, fit.model.references, errors=True)
+    read = as_read(log, fit.model, fit.corrections)
+    if not is_own(fit, log):
+        seen = evaluate(fit, log)
+        fit, read = seen.applied, seen.decoded
+    found = decoded(read, fit, nominal=False)
+    return _by_sample(log, fit.model, ((block, errors) for block, (errors,) in found.blocks()))
 
 
-def _decoded(fit: Fit, log: Log, references: Sequence[str], *, errors: bool) -> dict[str, np.ndarray]:
-    """Return the run and the decoded pose of every sample, or its errors."""
-    model, decode = fit.model, Decoder(fit)
-    sigma = {c: s.value for c, s in fit.noise.sigmas.items()}
-    offsets: dict[int, np.ndarray] = {}
-    found: list[np.ndarray] = []
-    wide = extended(log, model, sigma, model.named(fit.values))
-    for block in wide.blocks((*references, *model.state, *model.channels)):
-        if block.run not in offsets:
-            offsets[block.run] = decode.offsets(block.run, np.array([block.data[c][0] for c in model.state]))
-        pose = decode.pose(block, offsets[block.run])
-        pose = pose - np.array([block.data[c] for c in references]) if errors else pose
-        found.append(np.vstack([np.full(pose.shape[1], block.run), pose]))
-    if not found:
+def _by_sample(log: Log, model: Model, found: Iterable[tuple[Block, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Return the run of every sample, and its pose or error."""
+    parts = [np.vstack([np.full(values.shape[1], block.run), values]) for block, values in found]
+    if not parts:
         raise InputError(f"{log.name} holds no samples; there is nothing to decode.")
-    run, *each = np.concatenate(found, axis=1)
+    run, *each = np.concatenate(parts, axis=1)
     return {"run": run.astype(np.int64), **dict(zip(model.pose, each, strict=True))}

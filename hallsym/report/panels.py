@@ -12,7 +12,7 @@ from hallsym.estimation import Fit
 from hallsym.estimation.decoding import ErrorTable
 from hallsym.report import picture as p
 from hallsym.report.data.gather import Cells, Gathered, RunSeries
-from hallsym.report.data.survey import Group, by_run, held_out, settings
+from hallsym.report.data.survey import Group, held_out
 from hallsym.report.words import largest, minus, name, number, scale
 
 Sizes = Mapping[str, Mapping[str, float]]
@@ -127,9 +127,7 @@ def by_group(fit: Fit, groups: Sequence[Group], title: str, tables: Mapping[str,
 
 def by_groups(fit: Fit, found: Gathered) -> list[p.Picture]:
     """Return the rmse by vertical setting, where there are some, and by run."""
-    both = [settings(fit, found.survey), (by_run(found.survey), "run")]
-    groups = {title: own for own, title in both if len(own) > 1}
-    return [by_group(fit, own, title, found.tables) for title, own in groups.items()]
+    return [by_group(fit, own, title, found.tables) for title, own in found.groups.items()]
 
 
 def _rmse(table: ErrorTable, runs: Sequence[int], k: int) -> float:

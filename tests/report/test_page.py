@@ -16,7 +16,6 @@ from hallsym import load_fit, write_log
 from hallsym.cli.main import main
 from hallsym.estimation import Fit, fit
 from hallsym.estimation.calibration import Claim
-from hallsym.estimation.prediction import Decoder
 from hallsym.log import Log, read_log
 from hallsym.report.content import document
 from hallsym.report.data.gather import Cells, gather
@@ -209,7 +208,7 @@ def test_another_log_is_named_as_such_and_gets_its_own_zeros(fitted: Fit, log: L
     assert "holdout" not in text.partition("Input")[2].partition("Parameters")[0]
     found = gather(other, fitted)  # zeros of the wrong log
     own = re.search(r"rmse, this log ([\d.]+) ", text)
-    rmse = found.survey.fitted.over()["rmse"]
+    rmse = found.tables["decoded"].over()["rmse"]
     assert float(own[1]) < 1e6 * rmse["x_m"]
     assert float(own[1]) == pytest.approx(1e6 * fitted.noise_floor["x_m"], rel=0.05)
 
@@ -227,18 +226,15 @@ def test_a_log_without_time_counts_samples(log: Log):
 
 def test_maps_count_every_sample_and_agree_with_the_error_table(log: Log, fitted: Fit):
     found = gather(log, fitted)
-    (maps,) = found.maps.values()
+    (maps,), (table,) = found.maps.values(), found.tables.values()
     assert len([m for m in maps if m.up]) == 1
     assert [m.by for m in maps if not m.up] == ["x [µm]", "y [µm]", "Rz [µrad]"]
     for m in maps:
         assert m.count.sum() == log.rows
         squares = np.nansum(m.rms**2 * m.count, axis=1)
-        np.testing.assert_allclose(squares, found.survey.fitted.squares.sum(axis=0), rtol=1e-9)
-    (table,) = found.tables.values()
-    (block,) = (b for b in log.blocks() if b.run == 2)
-    decode = Decoder(fitted)
-    zeros = decode.offsets(2, np.array([block.data[c][0] for c in fitted.model.state]))
-    error = decode.pose(block, zeros) - np.array([block.data[c] for c in fitted.model.references])
+        np.testing.assert_allclose(squares, table.squares.sum(axis=0), rtol=1e-9)
+    left = fitted.residuals(log)
+    error = np.array([left[c][left["run"] == 2] for c in fitted.model.pose])
     np.testing.assert_allclose(table.squares[2], (error**2).sum(axis=1), rtol=1e-9)
     np.testing.assert_allclose(table.peak[2], np.abs(error).max(axis=1), rtol=1e-9)
     assert [a.get_xlabel() for a in draw(by_groups(fitted, found)[-1]).axes] == ["", "", "run"]
@@ -247,7 +243,8 @@ def test_maps_count_every_sample_and_agree_with_the_error_table(log: Log, fitted
 def test_gathering_does_not_depend_on_blocks(log: Log, fitted: Fit):
     whole = gather(log, fitted)
     pieces: Log = Chopped(log, (7, 1, 19))  # type: ignore[assignment]
-    pieces.columns = log.columns  # type: ignore[misc]
+    for name in ("columns", "runs", "table", "name"):
+        setattr(pieces, name, getattr(log, name))
     parts = gather(pieces, fitted)
     for a, b in zip(whole.maps["decoded"], parts.maps["decoded"], strict=True):
         np.testing.assert_array_equal(a.count, b.count)
@@ -357,11 +354,11 @@ def test_the_title_beside_an_axis_is_inside_the_picture_whatever_its_numbers(lar
 
 
 def test_runs_are_offered_worst_first(log: Log, fitted: Fit):
-    survey = gather(log, fitted).survey
-    order = worst_first(survey, fitted.noise_floor, 60)
-    assert sorted(order) == sorted(survey.runs)
+    (table,) = gather(log, fitted).tables.values()
+    order = worst_first(table, fitted.noise_floor, 60)
+    assert sorted(order) == sorted(table.runs)
     floor = np.array(list(fitted.noise_floor.values()))
-    rms = np.sqrt(survey.fitted.squares / survey.fitted.count[:, None])
-    size = dict(zip(survey.runs, (rms / floor).max(axis=1), strict=True))
+    rms = np.sqrt(table.squares / table.count[:, None])
+    size = dict(zip(table.runs, (rms / floor).max(axis=1), strict=True))
     assert [size[run] for run in order] == sorted(size.values(), reverse=True)
-    assert worst_first(survey, {}, 2) == worst_first(survey, {}, 60)[:2]
+    assert worst_first(table, {}, 2) == worst_first(table, {}, 60)[:2]

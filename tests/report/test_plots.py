@@ -13,11 +13,12 @@ from hallsym.cli.main import main
 from hallsym.diagnosis import examine, prepare
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, evaluate, fit
+from hallsym.estimation.prediction import decoded
 from hallsym.families import build
 from hallsym.families.recording import Correction
 from hallsym.log import Log
 from hallsym.report.data.gather import diagnosed
-from hallsym.report.data.survey import COLUMNS, Survey, Trace, held_out, look_over, settings
+from hallsym.report.data.survey import COLUMNS, Trace, held_out, settings
 from hallsym.report.drawing import DPI, WIDTH, draw, save, svg
 from hallsym.report.results import fit as plots
 from hallsym.simulation import Campaign, NoiseModel, Run, simulate, sine
@@ -27,11 +28,6 @@ CAMPAIGN = ROOT / "data" / "campaign"
 CALIBRATION = ROOT / "tests" / "golden" / "calib.json"
 
 
-@pytest.fixture(scope="module")
-def survey(log: Log, fitted: Fit) -> Survey:
-    return look_over(log, fitted)
-
-
 def _legends(figure) -> list[str]:
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
@@ -39,8 +35,8 @@ def _legends(figure) -> list[str]:
 # -- figures of a campaign -------------------------------------------------------------------------------
 
 
-def test_errors_by_setting_shows_every_series(fitted: Fit, survey: Survey) -> None:
-    picture = plots.errors_by_setting(fitted, survey)
+def test_errors_by_setting_shows_every_series(log: Log, fitted: Fit) -> None:
+    picture = plots.fit_figure(log, fitted)
     figure = draw(picture)
     reports.inside(figure)
     labels = ["nominal", "fitted", "fitted, holdout runs", "noise floor"]
@@ -50,7 +46,7 @@ def test_errors_by_setting_shows_every_series(fitted: Fit, survey: Survey) -> No
     title = "vertical setting (Z in µm; Rx, Ry in µrad)"
     assert [ax.get_xlabel() for ax in figure.axes] == ["", "", title]  # in a file once
     assert all(svg(panel, 360.0).count(title) == 1 for panel in picture.panels)
-    level = survey.nominal.over((0, 1, 2))
+    level = fitted.errors.designed.over((0, 1, 2))
     assert level is not None
     np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata()[0], 1e6 * level["rmse"]["x_m"], rtol=1e-9)
 
@@ -67,9 +63,8 @@ def one_run(samples: int, model: str = "stage15") -> dict[str, np.ndarray]:
 def test_one_run_without_holdout() -> None:
     log = with_noise(one_run(6000))
     result = fit(log, "stage15", solver="direct", loss="none")
-    survey = look_over(log, result)
-    assert settings(result, survey) == ([("0", [0])], "run")
-    assert len(plots.errors_by_setting(result, survey).panels) == 3
+    assert settings(result, log) == ([("0", [0])], "run")
+    assert len(plots.fit_figure(log, result).panels) == 3
 
 
 # -- files -----------------------------------------------------------------------------------------------
@@ -100,10 +95,8 @@ def test_pictures_are_whole_files_in_their_own_style(log: Log, fitted: Fit, tmp_
 
 
 @pytest.mark.slow
-def test_a_file_names_its_source_and_is_the_same_every_time(
-    fitted: Fit, survey: Survey, tmp_path: Path
-) -> None:
-    draw = {"errors": lambda: plots.errors_by_setting(fitted, survey)}
+def test_a_file_names_its_source_and_is_the_same_every_time(log: Log, fitted: Fit, tmp_path: Path) -> None:
+    draw = {"errors": lambda: plots.fit_figure(log, fitted)}
     source = "campaign/log.parquet, stage31"
     first, again, bare = (save(draw, tmp_path, said)[0].read_bytes() for said in (source, source, ""))
     assert first == again != bare
@@ -157,7 +150,7 @@ def test_errors_with_the_effects_are_those_of_the_diagnosis() -> None:
     seen = examine(prepare(Log.from_arrays({"angle_ref_rad": a, "angle_rad": angle}), "rotary"))
     found = seen.diagnosis
     for base, gap in ((seen.before, found.gap_before), (seen.after, found.gap_after)):
-        parts = [e for block, e in diagnosed(base) if block.run in found.validation_runs]
+        parts = [e for block, (e,) in diagnosed(base).blocks() if block.run in found.validation_runs]
         rmse = np.sqrt(np.nanmean(np.concatenate(parts, axis=1) ** 2))
         assert rmse == pytest.approx(gap.rmse["angle_rad"], rel=1e-6)
 
@@ -184,27 +177,28 @@ def test_trace_keeps_every_extreme_of_a_long_log() -> None:
     assert trace.high[0, 31_234 // trace.width] == 50.0
 
 
-# -- the survey of a log ---------------------------------------------------------------------------------
+# -- the errors of a log ----------------------------------------------------------------------------------
 
 
-def test_survey_has_the_error_tables_of_the_fit_and_of_an_evaluation(fitted: Fit, survey: Survey) -> None:
+def test_what_is_decoded_has_the_error_tables_of_the_fit_and_of_an_evaluation(log: Log, fitted: Fit) -> None:
     """Zero deviations are those of the log that is evaluated, not of the one that was fitted."""
     assert fitted.errors is not None
     found = evaluate(fitted, with_noise(record(seed=2)))
     assert (held_out(fitted), held_out(found.applied)) == (reports.HOLDOUT, ())
-    own, other = fitted.errors, look_over(found.decoded, found.applied).fitted
-    for mine, theirs in ((survey.nominal, own.designed), (survey.fitted, own.fitted), (other, found.table)):
+    own, made = fitted.errors, decoded(log, fitted).tables()
+    other = decoded(found.decoded, found.applied).tables()["fitted"]
+    pairs = ((made["nominal"], own.designed), (made["fitted"], own.fitted), (other, found.table))
+    for mine, theirs in pairs:
         assert mine.runs == theirs.runs
         np.testing.assert_allclose(mine.squares, theirs.squares, rtol=1e-6)
         np.testing.assert_allclose(mine.peak, theirs.peak, rtol=1e-6)
 
 
-def test_settings_are_labelled_by_what_the_stage_does(fitted: Fit, survey: Survey) -> None:
-    groups, title = settings(fitted, survey)
+def test_settings_are_labelled_by_what_the_stage_does(log: Log, fitted: Fit) -> None:
+    groups, title = settings(fitted, log)
     labels = [label.replace("\N{MINUS SIGN}", "-") for label, _ in groups]
     assert len(groups) == 19
-    assert 0 <= survey.drift.min() <= survey.drift.max() < 2e-6
     assert labels[0] == "level"
     assert {"Z -250", "Z +250", "Rx +500", "Ry -500"} <= set(labels)
-    assert sorted(run for _, runs in groups for run in runs) == list(survey.runs)
+    assert sorted(run for _, runs in groups for run in runs) == list(log.runs)
     assert title == "vertical setting (Z in µm; Rx, Ry in µrad)"

@@ -1,8 +1,8 @@
-"""One more pass over a log: maps of the errors, and series of a few runs."""
+"""What a page shows of the errors of a log: tables, maps, and series of a few runs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -10,20 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hallsym.estimation import Fit
-from hallsym.estimation.decoding import ErrorTable, columns_of
-from hallsym.log import Block, Log, extended
-from hallsym.log.batches import SIZE, Weigh
-from hallsym.report.data.survey import (
-    FITTED,
-    NOMINAL,
-    Survey,
-    Trace,
-    decoded,
-    held_out,
-    look_over,
-    settings,
-    worst_first,
-)
+from hallsym.estimation.decoding import ErrorTable
+from hallsym.estimation.prediction import Decoded, decoded
+from hallsym.log import Block, Log
+from hallsym.log.batches import Weigh
+from hallsym.report.data.survey import Group, Trace, by_run, held_out, settings, worst_first
 from hallsym.report.words import LEVEL, name, scale
 from hallsym.units import si_unit
 
@@ -133,41 +124,26 @@ RUNS = 20
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
-    """What a page shows of a log: `survey`, maps and series of the errors of decoded poses.
+    """What a page shows of a log, by version of the model: `tables` of the errors by run, `maps`, series.
 
-    Of one or two versions of the model: `maps` over the first two coordinates that move, and along each, and
-    `tables` of the errors by run. `series`: worst first.
+    `maps`: over the first two coordinates that move, and along each. `series`: worst first. `groups`: of the
+    runs, by what they share.
     """
 
-    survey: Survey
-    maps: Mapping[str, tuple[Cells, ...]]
     tables: Mapping[str, ErrorTable]
+    maps: Mapping[str, tuple[Cells, ...]]
     series: tuple[RunSeries, ...]
-
-
-Errors = Iterator[tuple[Block, np.ndarray]]
-"""Blocks with their errors (n_pose, samples) in SI, nan where a sample does not count."""
-
-
-def _decoded(log: Log, fit: Fit, keep: Weigh | None, version: str) -> Errors:
-    """Yield the errors by the `fitted` or by the `nominal` parameters."""
-    for block, (errors,), kept in decoded(log, fit, keep, [version]):
-        yield block, np.where(kept, errors, np.nan)
-
-
-def diagnosed(base: Base) -> Errors:
-    """Yield the errors of a model with the effects that a diagnosis found."""
-    from hallsym.diagnosis import errors_of
-
-    log, errors = extended(base.log, base.model, base.sigma, base.values), errors_of(base)
-    timed = ("t_s",) if "t_s" in log.columns else ()
-    for block in log.blocks(tuple(dict.fromkeys((*columns_of(base.model), *timed))), size=SIZE):
-        kept = True if base.keep is None else base.keep(block) > 0
-        yield block, np.where(kept, errors(block), np.nan)
+    groups: Mapping[str, list[Group]]
 
 
 _Map = tuple[Callable[..., Cells], int, Callable[[Block], np.ndarray]]
 """What makes cells of `count`, `mean` and `rms`; how many they are; the cell of each sample of a block."""
+
+
+def diagnosed(base: Base) -> Decoded:
+    """Return the log decoded by a model with the effects that a diagnosis found: "after"."""
+    version = base.p, base.offsets, np.diag(base.covariance)
+    return Decoded(base.log, base.model, {"after": version}, base.sigma, base.p, base.keep)
 
 
 def gather(
@@ -177,58 +153,49 @@ def gather(
     """Read `log` twice, in blocks, for maps and series of the errors of a fit, which is called `label`.
 
     `nominal`: also of the nominal parameters, before it. `after`: also of a model with the effects that a
-    diagnosis found. Each is one more pass.
+    diagnosis found.
 
     Channels of the log are those of the model (`as_read`). Samples to which `keep` gives weight 0 (outliers)
     take no part and interrupt the series.
     """
-    survey = look_over(log, fit, keep)
-    chosen = worst_first(survey, fit.noise_floor, RUNS)
-    passes = {NOMINAL: _decoded(log, fit, keep, NOMINAL)} if nominal else {}
-    passes[label] = _decoded(log, fit, keep, FITTED)
-    passes |= {} if after is None else {"after": diagnosed(after)}
-    places = _maps(fit, survey)
-    found = {key: _read(blocks, fit, survey, places, chosen) for key, blocks in passes.items()}
-    series, pose, period = [], fit.model.pose, fit.model.period
-    for run in chosen:
-        traces = {key: made[run] for key, (_, _, made) in found.items()}
-        title = f"run {run}{', holdout' if run in held_out(fit) else ''}"
-        series.append(series_of(title, pose, traces, timed=survey.timed, periodic=period))
-    maps = {key: each for key, (each, *_) in found.items()}
-    tables = {key: table for key, (_, table, _) in found.items()}
-    return Gathered(survey, maps, tables, tuple(series))
-
-
-def _read(
-    blocks: Errors, fit: Fit, survey: Survey, places: Sequence[_Map], chosen: Sequence[int]
-) -> tuple[tuple[Cells, ...], ErrorTable, dict[int, Trace]]:
-    """Return maps, errors by run, and the traces of the chosen runs from the errors of every block."""
-    n = len(fit.model.pose)
-    tallies = [Tally(n, cells) for _, cells, _ in places]
-    traces = {run: Trace(1 + n) for run in chosen}
-    sizes: dict[int, np.ndarray] = {}
-    for block, errors in blocks:
-        known = np.abs(errors[:, np.isfinite(errors).all(axis=0)])
-        count, squares, peak = sizes.get(block.run, np.zeros((3, n)))
-        more = known.max(axis=1, initial=0.0)
-        sizes[block.run] = np.array(
-            [count + known.shape[1], squares + (known**2).sum(axis=1), np.maximum(peak, more)]
+    versions = [decoded(log, fit, keep, label=label, nominal=nominal)]
+    versions += [] if after is None else [diagnosed(after)]
+    tables = {name: table for one in versions for name, table in one.tables().items()}
+    chosen, timed = worst_first(tables[label], fit.noise_floor, RUNS), "t_s" in log.columns
+    groups, by = settings(fit, log)
+    places = _maps(fit, tables[label].span, states=by == "run")
+    maps, traces = {}, {}
+    for one in versions:
+        tallies = [[Tally(len(one.model.pose), cells) for _, cells, _ in places] for _ in one.versions]
+        found = [{run: Trace(1 + len(one.model.pose)) for run in chosen} for _ in one.versions]
+        for block, each in one.blocks(*(["t_s"] if timed else [])):
+            for errors, own, series in zip(each, tallies, found, strict=True):
+                for (_, _, place), tally in zip(places, own, strict=True):
+                    tally.add(place(block), errors)
+                if block.run in series:
+                    time = block.data["t_s"] if timed else np.zeros(errors.shape[1])
+                    series[block.run].add(np.vstack([time, errors]))
+        for name_, own, series in zip(one.versions, tallies, found, strict=True):
+            pairs = zip(places, own, strict=True)
+            maps[name_] = tuple(made(count=t.count, mean=t.mean, rms=t.rms) for (made, *_), t in pairs)
+            traces[name_] = series
+    shown = tuple(
+        series_of(
+            f"run {run}{', holdout' if run in held_out(fit) else ''}", fit.model.pose,
+            {key: own[run] for key, own in traces.items()}, timed=timed, periodic=fit.model.period,
         )
-        for (_, _, place), tally in zip(places, tallies, strict=True):
-            tally.add(place(block), errors)
-        if block.run in traces:
-            time = block.data["t_s"] if survey.timed else np.zeros(errors.shape[1])
-            traces[block.run].add(np.vstack([time, errors]))
-    pairs = zip(places, tallies, strict=True)
-    maps = tuple(made(count=t.count, mean=t.mean, rms=t.rms) for (made, *_), t in pairs)
-    count, squares, peak = np.array([*sizes.values()]).transpose(1, 0, 2)
-    return maps, ErrorTable(fit.model.pose, tuple(sizes), count[:, 0], squares, peak), traces
+        for run in chosen
+    )  # fmt: skip
+    both = {title: own for own, title in ((groups, by), (by_run(log.runs), "run")) if len(own) > 1}
+    return Gathered(tables, maps, shown, both)
 
 
-def _maps(fit: Fit, survey: Survey) -> list[_Map]:
-    """Return maps over two coordinates, along each output, and along each state that moves within runs."""
+def _maps(fit: Fit, reach: Mapping[str, tuple[float, float]], *, states: bool) -> list[_Map]:
+    """Return maps over two coordinates, along each output, and along each state if that is asked.
+
+    `reach`: least and greatest value by column.
+    """
     model = fit.model
-    reach = dict(zip((*model.references, *model.state), survey.reach, strict=True))
     made = {c.name for c in model.computed}
     moved = [c for c, (low, high) in reach.items() if high - low > LEVEL and c not in made]
     poses = [c for c in model.references if c in moved]
@@ -237,7 +204,7 @@ def _maps(fit: Fit, survey: Survey) -> list[_Map]:
     ordered = [*lengths, *(c for c in moved if c not in lengths)]
     maps = [_plane(axes[ordered[0]], axes[ordered[1]], fit)] if len(ordered) > 1 else []
     maps += [_along(axes[c], fit) for c in poses]
-    if settings(fit, survey)[1] == "run":
+    if states:
         maps += [_along(axes[c], fit) for c in model.state if c in moved]
     return maps
 
@@ -258,7 +225,7 @@ class _Axis:
     turn: float | None
 
     @staticmethod
-    def of(column: str, reach: np.ndarray, fit: Fit) -> _Axis:
+    def of(column: str, reach: tuple[float, float], fit: Fit) -> _Axis:
         turn = fit.model.period.get(column, np.inf)
         goes_round = bool(reach[1] - reach[0] > turn)  # one map of all turns
         low, high = (0.0, float(turn)) if goes_round else (float(v) for v in reach)

@@ -15,11 +15,11 @@ import numpy as np
 from scipy.special import chdtri
 
 from hallsym.estimation import Fit
+from hallsym.estimation.prediction import decoded
 from hallsym.families.recording import as_read
 from hallsym.log import Log
 from hallsym.log.batches import Weigh
 from hallsym.model import Family
-from hallsym.report.data.survey import decoded
 
 HIGHEST = 12
 """Harmonics per period that are always fitted: clipping and the second harmonic of a field's third reach this
@@ -106,8 +106,8 @@ def periodic_error(log: Log, fit: Fit, keep: Weigh | None = None) -> PeriodicErr
     mount, pattern, elsewhere = _sources(model.family)
     orders = tuple(sorted({*range(1, HIGHEST + 1), *pattern}))
     sums = _Sums(orders, 2 * np.pi / period)
-    for block, errors, kept in decoded(log, fit, keep):
-        sums.add(block.run, block.data[model.references[k]], errors[:, k], kept)
+    for block, errors in decoded(log, fit, keep).blocks():
+        sums.add(block.run, block.data[model.references[k]], errors[:, k])
     if not sums.enough:
         return None
     before, after = sums.solved(0), sums.solved(1)
@@ -152,12 +152,12 @@ class _Sums:
     def width(self) -> int:
         return 2 * len(self.orders) + 1
 
-    def add(self, run: int, reference: np.ndarray, errors: np.ndarray, kept: np.ndarray) -> None:
+    def add(self, run: int, reference: np.ndarray, errors: np.ndarray) -> None:
         """Add a block: the errors (2, samples) by the nominal and by the fitted parameters."""
         phase = self.rate * reference
         waves = np.array([f(n * phase) for n in self.orders for f in (np.cos, np.sin)])
         rows = np.vstack([waves, reference[None] * self.rate, errors])
-        good = kept & np.isfinite(rows).all(axis=0)
+        good = np.isfinite(rows).all(axis=0)
         ahead = np.sign(np.diff(reference, prepend=reference[:1]))
         if len(ahead) > 1:
             ahead[0] = ahead[1]

@@ -11,9 +11,8 @@ from hallsym.estimation.calibration import rmse_interval
 from hallsym.inference import Belonging, ParameterChange
 from hallsym.report import picture as p
 from hallsym.report.content import Block, Content, Section, Table
-from hallsym.report.data.survey import look_over
 from hallsym.report.results import shared
-from hallsym.report.results.fit import errors_by_setting, periodic_blocks
+from hallsym.report.results.fit import fit_figure, periodic_blocks
 from hallsym.report.tables import cells, heads, in_units
 from hallsym.report.words import number
 
@@ -49,7 +48,7 @@ def evaluation_content(found: Evaluation, *, by_run: bool = False) -> Content:
 
 def evaluation_figure(found: Evaluation) -> p.Picture:
     """Return `errors_by_setting` of the log that was evaluated."""
-    return errors_by_setting(found.applied, look_over(found.decoded, found.applied))
+    return fit_figure(found.decoded, found.applied)
 
 
 def _columns(found: Evaluation) -> dict[str, list[Any]]:

@@ -11,7 +11,7 @@ from hallsym.estimation import Fit, evaluate
 from hallsym.estimation.calibration import MANY, LogRecord, coverage_factor, rmse_interval
 from hallsym.estimation.decoding import ErrorTable
 from hallsym.estimation.goodness_of_fit import diagnose_command
-from hallsym.estimation.prediction import is_own
+from hallsym.estimation.prediction import decoded, is_own
 from hallsym.estimation.task import without_spikes
 from hallsym.families import added_effects
 from hallsym.families.recording import as_read
@@ -21,7 +21,7 @@ from hallsym.report import picture as p
 from hallsym.report.content import Block, Content, Items, Section, Table
 from hallsym.report.data.gather import Gathered, gather
 from hallsym.report.data.periodic import periodic_of
-from hallsym.report.data.survey import Survey, look_over, settings
+from hallsym.report.data.survey import settings
 from hallsym.report.panels import by_group, by_groups
 from hallsym.report.results import shared
 from hallsym.report.results.periodic import periodic
@@ -241,7 +241,9 @@ def page_content(log: Log, fit: Fit, *, command: str = "", calibration: str = "c
     found = gather(log, fit, label="fitted", nominal=True)
     if same and _above_recorded(found, fit):
         found = gather(log, fit, label="fitted", keep=without_spikes(fit, log), nominal=True)
-    errors = _errors(fit, found.survey.fitted, None if same and fit.error_rows else found.survey.nominal)
+    errors = _errors(
+        fit, found.tables["fitted"], None if same and fit.error_rows else found.tables["nominal"]
+    )
     said = fit_content(fit)
     notes = [*circumstances(fit), *_notes(log, fit, found, same)]
     described = verdict(fit).partition("; next: ")[0].rstrip(".")  # the card has the next command
@@ -305,7 +307,7 @@ def _identifiable(fit: Fit) -> list[str]:
 
 
 def _input(log: Log, fit: Fit, found: Gathered, same: bool) -> Items:
-    runs, holdout = found.survey.runs, [r for r in fit.log.holdout if same]
+    runs, holdout = found.tables["fitted"].runs, [r for r in fit.log.holdout if same]
     fitted = [r for r in runs if r not in holdout]
     judged = f"{len(holdout)} ({shared.numbers(holdout)})" if holdout else "none"
     used = f"{len(fitted)} ({shared.numbers(fitted)})"
@@ -313,7 +315,7 @@ def _input(log: Log, fit: Fit, found: Gathered, same: bool) -> Items:
     added = list(added_effects(fit.model))
     pairs = [
         ("log", log.path or "a log in memory"),
-        ("samples", f"{found.survey.samples} in {counted(len(runs), 'run')}"),
+        ("samples", f"{log.rows} in {counted(len(runs), 'run')}"),
         ("model", f"{fit.model.name}{' with ' + ', '.join(added) if added else ''}"),
         ("runs fitted", used),
         ("holdout runs", judged if same else None),
@@ -332,7 +334,7 @@ def _notes(log: Log, fit: Fit, found: Gathered, same: bool) -> list[str]:
     if not same:
         other = "This log is not the one that was fitted: the zero deviations of each run were estimated"
         notes.append(f"{other} from that run.")
-    gone = found.survey.n_rejected
+    gone = log.rows - int(found.tables["fitted"].count.sum())
     if gone:
         notes.append(f"Maps and series leave {gone} isolated spikes out, as the fit did.")
     if same and _above_recorded(found, fit):
@@ -343,7 +345,7 @@ def _notes(log: Log, fit: Fit, found: Gathered, same: bool) -> list[str]:
 def _above_recorded(found: Gathered, fit: Fit) -> bool:
     """Whether peaks are larger than the fit recorded: it left outliers out, but its record names none."""
     known = [row["peak"] for k, row in fit.error_rows.items() if k != "designed" and row]
-    peak = found.survey.fitted.over()
+    peak = found.tables["fitted"].over()
     if not known or peak is None:
         return False
     return any(v > 1.001 * max(row[c] for row in known) for c, v in peak["peak"].items())
@@ -357,9 +359,5 @@ def fit_figure(log: Log, fit: Fit, keep: Weigh | None = None) -> p.Picture:
 
     `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part.
     """
-    return errors_by_setting(fit, look_over(as_read(log, fit.model, fit.corrections), fit, keep))
-
-
-def errors_by_setting(fit: Fit, survey: Survey) -> p.Picture:
-    """Return rmse by vertical setting (by run where there are no settings) before and after."""
-    return by_group(fit, *settings(fit, survey), {"nominal": survey.nominal, "fitted": survey.fitted})
+    read = as_read(log, fit.model, fit.corrections)
+    return by_group(fit, *settings(fit, read), decoded(read, fit, keep).tables())
