@@ -12,6 +12,9 @@ from twins import bundled
 
 import hallsym
 from hallsym.errors import InputError, commanded
+from hallsym.report.content import document
+from hallsym.report.views import _CONTENTS, content
+from hallsym.shown import Shown
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +37,8 @@ def results(columns: dict[str, np.ndarray], fit: hallsym.Fit) -> dict[str, Any]:
         "Evaluation": hallsym.evaluate(fit, columns),
         "Diagnosis": hallsym.diagnose(columns, "stage30"),
         "Identifiability": hallsym.identify(fit, profiles="none"),
+        "Belonging": hallsym.belonging(hallsym.evaluate(fit, columns)),
+        "Generated": hallsym.generate(fit, allow_undetermined=True),
         "Plan": hallsym.plan(ranges, "stage31", values, fit.noise.std, runs=6),
         "Budget": hallsym.position_budget(fit)["x_m"],
         "ErrorModel": hallsym.error_model(fit.model, {"H1x": 0.2}, over=("x_m", -1e-3, 1e-3)),
@@ -41,6 +46,26 @@ def results(columns: dict[str, np.ndarray], fit: hallsym.Fit) -> dict[str, Any]:
 
 
 KINDS = ("Fit", "Evaluation", "Diagnosis", "Identifiability", "Plan", "Budget", "ErrorModel")
+NOT_RESULTS = {"Curve"}
+"""Types with a record that are input too."""
+
+
+def test_every_result_has_the_same_methods() -> None:
+    kinds = [getattr(hallsym, name) for name in hallsym.__all__]
+    recorded = {k.__name__: k for k in kinds if isinstance(k, type) and hasattr(k, "to_dict")}
+    assert {name for name, kind in recorded.items() if not issubclass(kind, Shown)} == NOT_RESULTS
+    assert recorded.keys() - NOT_RESULTS | {"TurnPlan"} == _CONTENTS.keys()
+
+
+@pytest.mark.parametrize("kind", ["Belonging", "Generated"])
+def test_a_result_without_a_picture_shows_itself_too(results: dict[str, Any], kind: str) -> None:
+    result = results[kind]
+    assert len(repr(result)) < 1500
+    assert len(result.summary().split("\n")) >= 3 - (kind == "Belonging")
+    assert len(result.to_dataframe()) > 0
+    with pytest.raises(InputError, match="has no picture"):
+        result.plot()
+    assert 'class="card ' in document(content(result))
 
 
 @pytest.mark.parametrize("kind", KINDS)

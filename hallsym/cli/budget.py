@@ -19,7 +19,6 @@ from hallsym.estimation import Fit, load_fit
 from hallsym.log import Noise, check_noise_keys
 from hallsym.report.content import Block
 from hallsym.report.results.budget import (
-    budget_bars,
     budget_content,
     comparison_table,
     curve_blocks,
@@ -27,7 +26,6 @@ from hallsym.report.results.budget import (
     position_content,
     position_words,
     recorded_table,
-    uncertainty_picture,
 )
 from hallsym.trajectory import Curve, read_curve
 from hallsym.uncertainty import Budget, Recorded, Settings, UncertaintyMap, uncertainty_map, with_curve
@@ -83,7 +81,6 @@ def _stand_alone(options: Namespace) -> int:
     found = []
     if options.monte_carlo is not None:
         found = [uncertainty.budget_monte_carlo(budget, **_trials(options))]
-    draw = {"budget": lambda: budget_bars({budget.quantity: budget})}
     record: dict[str, Any] = {"budget": budget.to_dict()}
     if curve:
         record["curve"] = {"file": options.curve, "expanded_without_curve_m": machine.expanded}
@@ -91,8 +88,8 @@ def _stand_alone(options: Namespace) -> int:
         record["monte_carlo"] = found[0].to_dict()
     more: list[Block | str] = [comparison_table(found)] if found else []
     more += curve_blocks(curve, machine, budget) if curve else []
-    wrote = common.plots(options, draw, options.file)
-    common.say(options, record, lambda: budget_content(budget, shown, more), wrote=wrote)
+    said = budget_content(budget, shown, more)
+    common.say(options, record, lambda: said, wrote=common.plots(options, said, options.file))
     return OK
 
 
@@ -136,8 +133,6 @@ def _position(options: Namespace) -> int:
         "map": grid.to_dict() if grid else None,
         "notes": said,
     }
-    draw = {"budget": lambda: budget_bars(worst or budgets, worst=bool(worst))}
-    draw |= {"uncertainty_map": lambda: uncertainty_picture(grid)} if grid else {}
     coverage = f"{100 * settings.level:g} %" if settings.level else f"k = {settings.coverage:g}"
     place = position_words(fit.model.rest | at, fit.model.period)
     basis = f"fit covariance: {fit.covariance_record.method}"
@@ -146,8 +141,8 @@ def _position(options: Namespace) -> int:
     more: list[Block | str] = [comparison_table(list(found.values()))] if found else []
     more += [recorded_table(recorded, f"U ({coverage}), recorded workspace")] if recorded else []
     more += [recorded_table(grid.recorded, f"U ({coverage}), map")] if grid and options.range else []
-    said_of = position_content(budgets, place, basis, more)
-    wrote = common.plots(options, draw, options.file)
+    said_of = position_content(budgets, place, basis, more, worst=worst, grid=grid)
+    wrote = common.plots(options, said_of, options.file)
     common.say(options, record, lambda: said_of, notes=said, wrote=wrote)
     return NOT_DETERMINED if fit.undetermined_by_log else OK
 

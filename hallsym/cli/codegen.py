@@ -19,10 +19,7 @@ from hallsym.codegen.templates import LICENSE
 from hallsym.errors import InputError, counted
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.log import read_log
-from hallsym.report.content import Content, Table
 from hallsym.report.results.shared import few
-from hallsym.report.words import name, sized
-from hallsym.units import readable
 
 EPILOG = """\
 examples:
@@ -66,7 +63,9 @@ def run(options: Namespace) -> int:
     fit = load_fit(options.calibration)
     made = _made(fit, options)
     made.write(options.output, force=options.force, params_only=options.params_only)
-    say(options, made.to_dict(), lambda: _content(made, options), notes=made.notes)
+    files = sorted(made.params if options.params_only else made.files)
+    wrote = f"{counted(len(files), 'file')} to {options.output}: {few(files)}"
+    say(options, made, notes=made.notes, wrote=[wrote])
     return NOT_DETERMINED if fit.undetermined_by_log else OK
 
 
@@ -98,26 +97,3 @@ def _observer(fit: Fit, options: Namespace) -> Observer | None:
     return observer_of(
         fit, read_log(options.predict), bandwidth_hz=options.bandwidth, latency=options.latency
     )
-
-
-def _content(made: Generated, options: Namespace) -> Content:
-    record, tried = made.to_dict(), made.decoupler.tried
-    bounds, sizes, errors = record.get("error_bound", {}), [], []
-    for c, met in record["error_met"].items():
-        unit, bound = c.rpartition("_")[2], bounds.get(c)
-        turns = readable(c)[1] == "deg"
-        most = "" if bound is None else sized(bound, unit, turns=turns)
-        sizes.append(f"{name(c)} {most or sized(met, unit, turns=turns)}")
-        errors.append([c, most, sized(met, unit, turns=turns)])
-    how = "at most" if bounds else "in tests"
-    answer = (
-        f"{record['model']} in {record['type']}, table of {record['table_bytes']} bytes: error of the code "
-        f"{how} {', '.join(sizes)}."
-    )
-    box = [[c, f"{low:g}", f"{high:g}"] for c, (low, high) in record["box"].items()]
-    wrote = sorted(made.params) if options.params_only else sorted(made.files)
-    return Content("Decoder", answer, first=[
-        Table(["error", "at most over the box", f"met over {tried} random inputs"], errors, "errors"),
-        Table(["box", "from", "to"], box, "box"),
-        f"wrote {counted(len(wrote), 'file')} to {options.output}: {few(wrote)}",
-    ])  # fmt: skip

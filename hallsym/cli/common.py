@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from inspect import signature
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from hallsym.cli import progress
@@ -27,19 +28,17 @@ from hallsym.model import Effect, Model
 from hallsym.output import fitted, printable
 from hallsym.records import named
 from hallsym.report.content import Content, printed
-from hallsym.report.picture import Picture
-from hallsym.report.views import content
+from hallsym.report.views import content, pictures
 from hallsym.simulation import Campaign, campaign_from, paper_campaign, read_campaign, table8_noise
 from hallsym.toml import column_of
 
 
 def plots(
-    options: Namespace, draw: Mapping[str, Callable[[], Picture]], *named: object,
-    folder: str | Path | None = None,
-) -> list[Path]:  # fmt: skip
-    """Save pictures in a folder, that of `--plots` if none is named; nothing without one.
+    options: Namespace, found: Any, *named: object, folder: str | Path | None = None, log: Log | None = None
+) -> list[Path]:
+    """Save the pictures of a result in a folder, that of `--plots` if none is named; nothing without one.
 
-    `named` on each of them: file and model, those that are known.
+    `named` on each of them: file and model, those that are known. `log`: as for `pictures`.
     """
     folder = folder or getattr(options, "plots", None)
     if folder is None:
@@ -48,7 +47,7 @@ def plots(
 
     words = [str(name) for name in named if name]
     brief = ["/".join(Path(word).parts[-2:]) if Path(word).exists() else word for word in words]
-    return save(draw, folder, ", ".join(brief))
+    return save(pictures(found, log), folder, ", ".join(brief))
 
 
 FILE_OPTIONS = ("format", "delimiter", "decimal", "sheet", "clock")
@@ -212,13 +211,15 @@ def say(
     notes: Sequence[str] = (),
     wrote: Sequence[str | Path | None] = (),
     then: Sequence[str] = (),
+    more: Mapping[str, Any] = MappingProxyType({}),
 ) -> None:
     """Print the JSON record with its format; or the answer, then notes, files written, the next command.
 
     `found`: a result, or a record of which `said` makes the answer. `then`: the words of that command.
+    `more`: of the record of a result.
     """
     if options.json:
-        record = found.to_dict() if said is None else found
+        record = {**found.to_dict(), **more} if said is None else found
         print(json_text({"format": f"hallsym {options.command} 1", **record}))
         return
     progress.ended()
@@ -228,16 +229,6 @@ def say(
     lines += [printable(f"wrote {path}") for path in wrote if path]
     lines += [printable(f"next: {shlex.join(then)}")] if then else []
     print(fitted("\n".join([text, *lines]).rstrip("\n")))
-
-
-def fit_pictures(
-    options: Namespace, log: Log, result: Fit, folder: str | Path | None = None
-) -> list[Path]:  # fmt: skip
-    """Save the picture of a fit where `plots` would."""
-    from hallsym.report.results.fit import fit_figure
-
-    draw = {"errors_by_setting": lambda: fit_figure(log, result, result.keep)}
-    return plots(options, draw, log.path, result.model.name, folder=folder)
 
 
 def reading_words(options: Namespace, known: Fit | None = None) -> list[str]:

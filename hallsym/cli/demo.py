@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.cli import OK
-from hallsym.cli.common import fit_pictures, progress_of, say
+from hallsym.cli.common import plots, progress_of, say
 from hallsym.estimation import Fit, fit
 from hallsym.families import published
 from hallsym.log import Log
@@ -39,7 +39,7 @@ def run(options: Namespace) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     log, result, steps = reproduce(on_progress=progress_of(options))
     result.save(folder / "calib.json")
-    pictures = fit_pictures(options, log, result, folder)
+    pictures = plots(options, result, log.path, result.model.name, folder=folder, log=log)
     record = {"steps": steps, "calibration": result.to_dict(), "pictures": [str(p) for p in pictures]}
     wrote = [folder / "calib.json", *pictures]
     say(options, record, lambda: demonstration(steps, result), wrote=wrote)

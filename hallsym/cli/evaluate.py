@@ -24,7 +24,6 @@ from hallsym.report.results.evaluation import (
     belonging_blocks,
     chart,
     evaluation_content,
-    evaluation_figure,
 )
 
 EPILOG = """\
@@ -122,8 +121,7 @@ def _record(options: Namespace, path: str, seen: Evaluation, found: Belonging | 
 
 def _pictured(options: Namespace, path: str, seen: Evaluation) -> list[Path]:
     folder = options.plots and Path(options.plots) / (Path(path).stem if len(options.logs) > 1 else "")
-    draw = {"errors_by_setting": lambda: evaluation_figure(seen)}
-    return common.plots(options, draw, path, options.calibration, folder=folder)
+    return common.plots(options, seen, path, options.calibration, folder=folder)
 
 
 def _text(options: Namespace, known: Fit, logs: dict[str, Judged | str]) -> str:

@@ -5,15 +5,12 @@ and print the error over a turn before and after. 'hallsym fit' reads such table
 """
 
 from argparse import Namespace
-from math import degrees
 
 from hallsym.cli import NOT_DETERMINED, OK
 from hallsym.cli.common import chosen, own_effects, say
-from hallsym.codegen.table import Error, Exported, export_table
+from hallsym.codegen.table import export_table
 from hallsym.estimation.calibration import load_fit
 from hallsym.log.maker_tables import BY_NAME
-from hallsym.report.content import Block, Content, Table
-from hallsym.report.words import number
 
 EPILOG = """\
 examples:
@@ -47,26 +44,5 @@ def run(options: Namespace) -> int:
     fit = load_fit(options.calibration, own_effects(options))
     made = export_table(fit, options.table, **chosen(options, export_table))
     made.write(options.output)
-    record = {"output": str(options.output), **made.to_dict()}
-    say(options, record, lambda: _content(made, options), notes=made.notes, wrote=[options.output])
+    say(options, made, notes=made.notes, wrote=[options.output], more={"output": options.output})
     return NOT_DETERMINED if made.undetermined else OK
-
-
-def _content(made: Exported, options: Namespace) -> Content:
-    def row(label: str, error: Error) -> list[str]:
-        return [label, number(degrees(error.rms)), number(degrees(error.peak))]
-
-    head = ["error of the angle over the turn, by the calibration", "rms [deg]", "peak [deg]"]
-    rows = [row("without a table", made.before)]
-    if made.old:
-        rows.append(row(f"with the table in {options.like}", made.old))
-    rows.append(row(f"with the new table, {made.entries} entries", made.after))
-    answer = (
-        f"The new table of {made.entries} entries lowers the error over the turn from "
-        f"{number(degrees(made.before.rms))} to {number(degrees(made.after.rms))} deg rms."
-    )
-    blocks: list[Block | str] = [Table(head, rows, "error over the turn")]
-    if made.calibrated is not None:
-        rest = degrees(made.calibrated)
-        blocks.append(f"the residual error of the calibration on its log adds to it: rms {number(rest)} deg")
-    return Content("Correction table", answer, first=blocks)

@@ -99,7 +99,7 @@ def run(options: Namespace) -> int:
     parts = list(zip([log.name for log in result.logs], logs, result.by_log, strict=False))
     for name, log, part in parts or [("", logs[0], result)]:
         folder = options.plots and Path(options.plots) / name
-        wrote += common.fit_pictures(options, log, part, folder)
+        wrote += common.plots(options, part, log.path, part.model.name, folder=folder, log=log)
     common.say(options, result, wrote=wrote, then=_next(options, result))
     return exit_code(result, said=not options.json)
 
@@ -115,12 +115,9 @@ def _without_reference(options: Namespace, machine: Machine) -> int:
         log, options.model, options.reference, effects=options.effect,
         parameters=machine.parameters,
     )  # fmt: skip
-    from hallsym.report.results.self_calibration import waves_figure
-
     if options.output:
         result.save(options.output)
-    draw = {"waves": lambda: waves_figure(result)}
-    drawn = common.plots(options, draw, log.path, result.fit.model.name)
+    drawn = common.plots(options, result, log.path, result.fit.model.name)
     then = [] if options.output else [*options.typed, "-o", "calib.json"]
     common.say(options, result, wrote=[options.output, *drawn], then=then)
     if result.open and not options.json:

@@ -20,8 +20,6 @@ from hallsym.families.machine_file import Machine, read_machine
 from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.records import named
-from hallsym.report.results.plan import coverage
-from hallsym.report.views import content
 from hallsym.simulation import is_the_papers, table8_noise, write_campaign
 from hallsym.units import read_quantity
 
@@ -83,9 +81,9 @@ def run(options: Namespace) -> int:
         head = f"{len(found.campaign.runs)} runs for {model.name}, criterion {found.study.criterion.name}"
         comment = "\n".join([f"Planned by hallsym: {head}.", *groups])
         write_campaign(found.campaign, options.output, comment=comment)
-    drawn = common.plots(options, {"coverage": lambda: coverage(found, log)}, options.ranges, model.name)
-    record, wrote = found.to_dict() | {"notes": notes}, [options.output, *drawn]
-    common.say(options, record, lambda: content(found), notes=notes, wrote=wrote)
+    drawn = common.plots(options, found, options.ranges, model.name, log=log)
+    wrote = [options.output, *drawn]
+    common.say(options, found, notes=notes, wrote=wrote, more={"notes": notes})
     return OK
 
 

@@ -16,7 +16,6 @@ from hallsym.families import build
 from hallsym.families.machine_file import read_machine
 from hallsym.files import write_json
 from hallsym.inference import Identifiability, identify
-from hallsym.report.results.identifiability import correlation
 from hallsym.report.results.shared import few
 
 PAPER = "the paper's campaign"
@@ -49,9 +48,7 @@ def run(options: Namespace) -> int:
     report = _planned(options) if options.plan is not None else _recorded(options)
     if options.output:
         write_json(options.output, report.to_dict())
-    known = sum(entry.std is not None for entry in report.parameters)
-    draw = {"correlation": lambda: correlation(report)} if known > 1 else {}
-    drawn = common.plots(options, draw, report.evidence.recorded, report.model.name)
+    drawn = common.plots(options, report, report.evidence.recorded, report.model.name)
     common.say(options, report, wrote=[options.output, *drawn])
     return _exit_code(report)
 

@@ -12,7 +12,6 @@ from hallsym.cli import OK, common
 from hallsym.errors import InputError
 from hallsym.families.machine_file import read_machine
 from hallsym.model import Model
-from hallsym.report.results.tolerances import errors_along
 from hallsym.simulation.paper import DESIGNED
 from hallsym.toml import column_of
 from hallsym.uncertainty import error_model
@@ -93,6 +92,5 @@ def _along(options: Namespace, model: Model) -> int:
         )
     at = common.column_values(options.at, columns)
     found = error_model(model, values, over=(column, low, high), at=at)
-    pictures = common.plots(options, {"errors": lambda: errors_along(found)}, found.model.name)
-    common.say(options, found, wrote=pictures)
+    common.say(options, found, wrote=common.plots(options, found, found.model.name))
     return OK

@@ -34,6 +34,7 @@ from hallsym.codegen.templates import LICENSE
 from hallsym.errors import InputError, quoted, require
 from hallsym.estimation.calibration import Fit
 from hallsym.records import builtins
+from hallsym.shown import Shown
 
 ARITHMETICS = ("float", "q31")
 REPLACED = (
@@ -45,8 +46,8 @@ UNSEEN = {"accuracy": np.pi}
 """Options of float code of which integers take the model and the box alone: the least there is to compute."""
 
 
-@dataclass(frozen=True, eq=False)
-class Generated:
+@dataclass(frozen=True, eq=False, repr=False)
+class Generated(Shown):
     """What `generate` made: files by path, the backend that made them, largest errors met, and notes.
 
     `name`: prefix of symbols and files.

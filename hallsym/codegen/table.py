@@ -30,6 +30,7 @@ from hallsym.log.maker_tables import (
 from hallsym.log.phase import wrapped
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
+from hallsym.shown import Shown
 
 POINTS = 1 << 14
 """Angles of a turn at which readings are computed; lines between leave 2e-8 of a wave of one per turn."""
@@ -49,12 +50,13 @@ class Error:
     peak: float
 
 
-@dataclass(frozen=True, eq=False)
-class Exported:
+@dataclass(frozen=True, eq=False, repr=False)
+class Exported(Shown):
     """A table and its text; errors over the turn, by the calibration, without it, with it, with the old one.
 
     `calibrated`: rms that the calibration leaves on its own log [rad], None where it does not say.
-    `undetermined`: parameters that the table depends on and that log does not determine.
+    `undetermined`: parameters that the table depends on and that log does not determine. `like`: the file of
+    the old table.
     """
 
     name: str
@@ -66,6 +68,7 @@ class Exported:
     calibrated: float | None
     notes: tuple[str, ...]
     undetermined: tuple[str, ...]
+    like: str = ""
 
     def write(self, path: str | Path) -> None:
         """Write the file, through a temporary one."""
@@ -73,7 +76,7 @@ class Exported:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record of `--json`, in SI."""
-        return {k: v for k, v in asdict(self).items() if k != "text"}
+        return {k: v for k, v in asdict(self).items() if k not in ("text", "like")}
 
 
 def export_table(
@@ -134,6 +137,7 @@ def export_table(
         old=_error(old.decoded(old.seen(raw))) if old else None,
         calibrated=next((row["rmse"][c] for row in rows if row for c in model.pose), None),
         notes=tuple(_notes(fit, layout, old is not None, keep_reference, centres)),
+        like=str(like or ""),
         undetermined=fit.undetermined_by_log,
     )
 

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.estimation.self_calibration import FEW, OPEN_BELOW
+from hallsym.shown import Shown
 
 RATIOS = (1.5, 2.0, 3.0)
 """Ratios of two speeds that are compared."""
@@ -37,8 +38,8 @@ def table_error(density: np.ndarray, turns: int) -> float:
     return float(np.sqrt(np.sum(density) / turns)) * FEW.get(turns, 1.0)
 
 
-@dataclass(frozen=True, eq=False)
-class TurnPlan:
+@dataclass(frozen=True, eq=False, repr=False)
+class TurnPlan(Shown):
     """Undetermined waves of the heads, and turns for an accuracy [rad, mechanical]; None if unknown.
 
     `density`: as in `turns_for`. `lasting`: (waves,) standard errors [rad] of the table that do not fall with

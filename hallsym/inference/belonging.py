@@ -21,6 +21,7 @@ from hallsym.estimation.calibration import coverage_factor
 from hallsym.estimation.factors import SINGULAR, pseudo_inverse, unit_scale
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit, ResidualNoise, noise_at
 from hallsym.log import Noise, Sigma
+from hallsym.shown import Shown
 
 FALSE_ALARM = 1 / 500
 """Familywise false-alarm rate: one in 500 logs that belong."""
@@ -79,8 +80,8 @@ class BelongingTest:
         return self.distance > 1.0
 
 
-@dataclass(frozen=True)
-class Belonging:
+@dataclass(frozen=True, repr=False)
+class Belonging(Shown):
     """What `belonging` returns.
 
     `false_alarm`: familywise false-alarm rate over all tests. `refitted`: residual error after a fit of this

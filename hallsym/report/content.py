@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 from typing import Any, ClassVar
@@ -157,8 +157,8 @@ class Content:
     why: str = ""
     command: str = ""
     columns: Mapping[str, Sequence[Any]] | None = None
-    picture: Callable[[Any], Picture] | None = None
-    """Of the result; of a log where it is given one."""
+    pictures: Mapping[str, Callable[[Any], Picture]] = field(default_factory=dict)
+    """By the name of their file, the first one first: of the result; of a log where it is given one."""
     seconds: float | None = None
     """Computing time, for a terminal only, so that a page depends on the data alone."""
 

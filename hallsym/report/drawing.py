@@ -11,7 +11,7 @@ import io
 import re
 import textwrap
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from importlib.resources import files
@@ -186,7 +186,7 @@ def _numbers(ax: Axes, which: str, axis: p.Axis) -> None:
 # -- files: a folder made if missing, written atomically, the same file for the same picture ---------------
 
 
-def save(pictures: Mapping[str, Callable[[], p.Picture]], folder: str | Path, source: str = "") -> list[Path]:
+def save(pictures: Mapping[str, p.Picture], folder: str | Path, source: str = "") -> list[Path]:
     """Draw each picture and save it as `folder/name.png`; returns the files written.
 
     `source`: the line below each picture, file and model. Raises `InputError` for a folder that cannot be
@@ -198,8 +198,8 @@ def save(pictures: Mapping[str, Callable[[], p.Picture]], folder: str | Path, so
     except OSError as error:
         raise InputError(f"Cannot make the folder {folder} for pictures: {reason(error)}.") from error
     written = []
-    for name, make in pictures.items():
-        figure, path = draw(make()), folder / f"{name}.png"
+    for name, picture in pictures.items():
+        figure, path = draw(picture), folder / f"{name}.png"
         with _style():
             if source:
                 width, height = figure.get_size_inches()

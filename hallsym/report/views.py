@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -48,20 +49,27 @@ def figure(result: Any, log: Any = None) -> Figure:
     """Return the picture of a result, drawn; `log`: where it is of one that the result does not hold."""
     from hallsym.report.drawing import draw
 
-    picture = _content_of(result).picture
-    if picture is None:
-        raise InputError(f"A {type(result).__name__} has no picture.")
-    return draw(picture(log))
+    for make in _content_of(result).pictures.values():
+        return draw(make(log))
+    raise InputError(f"A {type(result).__name__} has no picture.")
+
+
+def pictures(result: Any, log: Any = None) -> dict[str, Picture]:
+    """Return the pictures of a result, or of its content, by name, without those that show nothing.
+
+    `log`: as for `figure`.
+    """
+    said, found = result if isinstance(result, Content) else _content_of(result), {}
+    for name, make in said.pictures.items():
+        with suppress(InputError):
+            found[name] = make(log)
+    return found
 
 
 def html(result: Any) -> str:
     """Return the view of a result in a notebook: its answer, its first tables and its picture."""
     said = _content_of(result)
-    try:
-        picture = said.picture and said.picture(None)
-    except InputError:  # a calibration that was read has no log to draw
-        picture = None
-    return fragment(said, picture)
+    return fragment(said, next(iter(pictures(said).values()), None))
 
 
 def content(result: Any) -> Content:
@@ -86,10 +94,7 @@ def page_of(result: Any, log: Any = None) -> str:
 def _pictured(said: Content) -> Content:
     """Return what a page shows: the picture too, where the report has no figures of its own."""
     own = any(isinstance(block, Picture) and block.panels for s in said.sections for block in s.content)
-    try:
-        picture = None if own else said.picture and said.picture(None)
-    except InputError:  # nothing to draw
-        picture = None
+    picture = None if own else next(iter(pictures(said).values()), None)
     if picture is None:
         return said
     panels = [replace(panel, beside=()) for panel in picture.panels]  # words of the table
@@ -114,6 +119,10 @@ _CONTENTS = {
     "ErrorModel": "tolerances.errors_content",
     "DetectionPower": "power.power_content",
     "Sorting": "sorting.sorting_content",
+    "Matching": "sorting.matching_content",
+    "Belonging": "evaluation.belonging_content",
+    "Exported": "firmware.exported_content",
+    "Generated": "firmware.generated_content",
 }
 """Maker of the content of each kind; its module is loaded when one is shown."""
 

@@ -12,6 +12,7 @@ import numpy as np
 from hallsym.errors import InputError, counted, require
 from hallsym.model import Model
 from hallsym.records import named
+from hallsym.shown import Shown
 from hallsym.simulation import Campaign
 from hallsym.sorting.bins import bins_of
 from hallsym.sorting.influence import Influence, influence_of_gains, is_symmetric, without_common
@@ -45,8 +46,8 @@ class Way:
         return float(np.sqrt(np.mean(self.rms**2))) if len(self.rms) else float("nan")
 
 
-@dataclass(frozen=True, eq=False)
-class Matching:
+@dataclass(frozen=True, eq=False, repr=False)
+class Matching(Shown):
     """Sets of sensors chosen by a model, beside bins alone and sets drawn blindly.
 
     `sensors` (n,) names, `places` (k,) of a set; `floor`: rms error that the uncertainty of the gains alone

@@ -130,6 +130,7 @@ def test_the_firmware_computes_the_angle(name: str, sense: int) -> None:
     assert made.before.peak == pytest.approx(left(raw), rel=0.01)
     assert made.after.peak < WITHIN[name]
     assert made.after.rms < made.before.rms / 30
+    assert made.summary().startswith(f"The new table of {made.entries} entries lowers the error")
 
 
 def test_a_table_of_two_voltages_corrects_their_arctangent() -> None:

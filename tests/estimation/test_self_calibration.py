@@ -18,7 +18,6 @@ from hallsym.estimation.without_reference import fit_without_reference
 from hallsym.experiment.turns import TurnPlan, table_error, turns_for, two_speeds
 from hallsym.log import Log, Meta
 from hallsym.model.arrays import on_arrays
-from hallsym.report.results.self_calibration import turns_content
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
@@ -172,7 +171,7 @@ def test_turns_for_an_accuracy_are_right_within_a_tenth(turns) -> None:
     assert replace(plan, lasting=lasting).turns == 2 * turns
     out = replace(plan, lasting=2 * lasting)
     assert out.turns is None
-    assert turns_content(out).answer.startswith(f"No number of turns gives {degrees(target):.4g} deg")
+    assert out.summary().startswith(f"No number of turns gives {degrees(target):.4g} deg")
 
 
 def test_two_speeds_cost_what_the_formula_says() -> None:

@@ -150,7 +150,7 @@ def test_everything_of_a_record_is_said(monkeypatch):
 
 
 def test_the_picture_of_a_gap_says_sizes_and_floor():
-    picture = diagnosis_content(Diagnosis.from_dict(a_record())).picture(None)
+    picture = diagnosis_content(Diagnosis.from_dict(a_record())).pictures["gap"](None)
     assert len(picture.panels) == 6
     assert picture.panels[0].says == "rmse x [µm]: before 3; after 1.2; noise floor 1.1"
     assert picture.panels[3].says == "peak x [µm]: before 12; after 4.8"

@@ -71,7 +71,7 @@ def test_one_run_without_holdout() -> None:
 
 
 def saved(log: Log, fitted: Fit, folder: Path) -> list[Path]:
-    return save({"errors_by_setting": lambda: plots.fit_figure(log, fitted)}, folder)
+    return save({"errors_by_setting": plots.fit_figure(log, fitted)}, folder)
 
 
 def test_pictures_are_whole_files_in_their_own_style(log: Log, fitted: Fit, tmp_path: Path) -> None:
@@ -96,7 +96,7 @@ def test_pictures_are_whole_files_in_their_own_style(log: Log, fitted: Fit, tmp_
 
 @pytest.mark.slow
 def test_a_file_names_its_source_and_is_the_same_every_time(log: Log, fitted: Fit, tmp_path: Path) -> None:
-    draw = {"errors": lambda: plots.fit_figure(log, fitted)}
+    draw = {"errors": plots.fit_figure(log, fitted)}
     source = "campaign/log.parquet, stage31"
     first, again, bare = (save(draw, tmp_path, said)[0].read_bytes() for said in (source, source, ""))
     assert first == again != bare

@@ -109,6 +109,7 @@ def test_sets_are_those_of_trying_all(seed):
 def test_left_over_sensors_are_the_ones_that_cost_most():
     gains = inventory(30) | {"far": 1.4, "low": 0.7}
     found = match_sensors(gains, MODELS[0], sets=10)
+    assert found.summary().startswith("10 matched sets of ")
     used = {found.sensors[k] for k in found.matched.sets.ravel()}
     assert not {"far", "low"} & used
     assert found.optimal

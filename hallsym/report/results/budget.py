@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -35,14 +35,23 @@ def budget_content(budget: Budget, shown: str | None = None, more: Sequence[Bloc
         answer,
         [Section("sources", "Sources", budget_blocks(budget, shown)), Section("more", "More", more)],
         columns=_columns(budget),
-        picture=lambda log: budget_bars({budget.quantity: budget}),
+        pictures={"budget": lambda log: budget_bars({budget.quantity: budget})},
     )
 
 
 def position_content(
-    budgets: Mapping[str, Budget], place: str, basis: str, more: Sequence[Block | str] = ()
-) -> Content:
-    """Return the budgets of a position: U of each coordinate in a sentence, then their sources."""
+    budgets: Mapping[str, Budget], place: str, basis: str, more: Sequence[Block | str] = (), *,
+    worst: Mapping[str, Budget] | None = None, grid: UncertaintyMap | None = None,
+) -> Content:  # fmt: skip
+    """Return the budgets of a position: U of each coordinate in a sentence, then their sources.
+
+    `worst`: the budgets of the worst position of each coordinate, `grid`: a map of U, to draw.
+    """
+    pictures: dict[str, Callable[[Any], p.Picture]] = {
+        "budget": lambda log: budget_bars(worst or budgets, worst=bool(worst))
+    }
+    if grid is not None:
+        pictures["uncertainty_map"] = lambda log: uncertainty_picture(grid)
     return Content(
         "Budget of a position",
         f"{expanded(budgets, place)}; {basis}.",
@@ -50,6 +59,7 @@ def position_content(
             *(Section(f"of_{c}", name(c), budget_blocks(b)) for c, b in budgets.items()),
             Section("more", "More", more),
         ],
+        pictures=pictures,
     )
 
 

@@ -89,7 +89,7 @@ def diagnosis_content(
         why=why,
         command=following,
         columns=_columns(d),
-        picture=lambda log: gap(d),
+        pictures={"gap": lambda log: gap(d)},
         seconds=d.seconds,
     )
 

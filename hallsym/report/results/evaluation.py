@@ -9,11 +9,10 @@ from hallsym.errors import counted
 from hallsym.estimation import Evaluation
 from hallsym.estimation.calibration import rmse_interval
 from hallsym.inference import Belonging, ParameterChange
-from hallsym.report import picture as p
 from hallsym.report.content import Block, Content, Section, Table
 from hallsym.report.results import shared
 from hallsym.report.results.fit import fit_figure, periodic_blocks
-from hallsym.report.tables import cells, heads, in_units
+from hallsym.report.tables import attributes, cells, heads, in_units
 from hallsym.report.words import number
 
 Judged = tuple[Evaluation, Belonging | str]
@@ -42,13 +41,8 @@ def evaluation_content(found: Evaluation, *, by_run: bool = False) -> Content:
         ],
         state="bad" if found.goodness.sentence else "good",
         columns=_columns(found),
-        picture=lambda log: evaluation_figure(found),
+        pictures={"errors_by_setting": lambda log: fit_figure(found.decoded, found.applied)},
     )
-
-
-def evaluation_figure(found: Evaluation) -> p.Picture:
-    """Return `errors_by_setting` of the log that was evaluated."""
-    return fit_figure(found.decoded, found.applied)
 
 
 def _columns(found: Evaluation) -> dict[str, list[Any]]:
@@ -71,6 +65,15 @@ def belonging_blocks(found: Belonging) -> list[Block | str]:
         names = [name for name, said in found.not_identified.items() if said == why]
         blocks.append(f"not compared, {why}: {shared.few(names)}")
     return blocks
+
+
+def belonging_content(found: Belonging) -> Content:
+    """Return whether a log belongs, what changed where it does not, and each test."""
+    answer, *blocks = belonging_blocks(found)
+    tests = attributes(found.tests, "name", "p_value", "score", "limit")
+    return Content(
+        "Belonging", str(answer), first=blocks, state="good" if found.belongs else "bad", columns=tests
+    )
 
 
 def changes_table(changes: Sequence[ParameterChange]) -> Table:

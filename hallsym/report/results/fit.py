@@ -50,7 +50,11 @@ def fit_content(fit: Fit, *, log: Log | None = None) -> Content:
         ["", basis(fit), _errors(fit, fit.errors.fitted if fit.errors else None)],
         state="bad" if amiss(fit) else "good",
         columns=_columns(fit),
-        picture=lambda other: fit_figure(log_of(fit, other, "fit.plot('log.csv')"), fit, fit.keep),
+        pictures={
+            "errors_by_setting": lambda other: fit_figure(
+                log_of(fit, other, "fit.plot('log.csv')"), fit, fit.keep
+            )
+        },
     )
 
 

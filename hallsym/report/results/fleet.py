@@ -56,7 +56,7 @@ def fleet_content(fleet: Fleet) -> Content:
         [Table(["verdict", "devices", "meaning"], verdicts, "devices by verdict", wordy=(2,))],
         state="good" if good == count else "open",
         columns=fleet.table(),
-        picture=lambda log: distributions(fleet),
+        pictures={"distributions": lambda log: distributions(fleet)},
         seconds=fleet.seconds,
     )  # fmt: skip
 

@@ -62,7 +62,7 @@ def identifiability_content(report: Identifiability) -> Content:
             Section("notes", "Evidence and notes", [*offsets_text(report.offsets), *notes]),
         ],
         columns=_columns(report),
-        picture=lambda log: correlation(report),
+        pictures={"correlation": lambda log: correlation(report)},
     )
 
 

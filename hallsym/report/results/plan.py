@@ -44,7 +44,7 @@ def plan_content(plan: Plan) -> Content:
             *before,
             uncertain,
         ],
-        picture=lambda log: coverage(plan, None if log is None else as_log(log)),
+        pictures={"coverage": lambda log: coverage(plan, None if log is None else as_log(log))},
         seconds=plan.seconds,
         columns=dict(
             zip(("runs", "setting", "trajectory"), map(list, zip(*plan.groups(), strict=True)), strict=True)

@@ -65,7 +65,7 @@ def self_fit_content(result: SelfFit) -> Content:
         ],
         ["", basis, *left],
         columns=_columns(result),
-        picture=lambda log: waves_figure(result),
+        pictures={"waves": lambda log: waves_figure(result)},
         seconds=found.seconds,
     )  # fmt: skip
 
@@ -147,7 +147,8 @@ def turns_content(found: TurnPlan) -> Content:
                 blocks.append(f"{target} deg needs {counted(found.turns, 'turn')}, and one to judge it.")
             else:
                 answer = f"{_out_of_reach(found, target)} {answer}"
-    return Content("Plan of turns", answer, [Section("turns", "Turns", blocks)])
+    by_wave = {"per_turn": [n + 1 for n in range(len(found.seen))], "seen": found.seen.tolist()}
+    return Content("Plan of turns", answer, [Section("turns", "Turns", blocks)], columns=by_wave)
 
 
 def _out_of_reach(found: TurnPlan, target: str) -> str:

@@ -72,6 +72,17 @@ def _bench(found: Sorting) -> Iterator[Block | str]:
         yield f"not read in two fields, and not sorted: {few(found.unsorted)}"
 
 
+def matching_content(found: Matching) -> Content:
+    """Return the report of sets alone."""
+    rows = [(k + 1, *one) for k, row in enumerate(found.chosen()) for one in row["sensors"].items()]
+    return Content(
+        f"Sets for {found.model.name}",
+        f"{_chosen(found)}.",
+        first=[*matching_blocks(found), *(f"note: {note}" for note in found.notes)],
+        columns={key: [row[k] for row in rows] for k, key in enumerate(("set", "place", "sensor"))},
+    )
+
+
 def matching_blocks(found: Matching) -> list[Block | str]:
     """Return the ways of choosing sets beside each other, and the first of the chosen sets."""
     best = "; optimal" if found.optimal else ""

@@ -149,7 +149,7 @@ def errors_content(found: ErrorModel) -> Content:
         [_along_head(found), along_table(found)],
         columns={found.coordinate: errors.at}
         | {f"{cause}: {c}": e.error[k] for cause, _, e in found.causes for k, c in enumerate(sizes)},
-        picture=lambda log: errors_along(found),
+        pictures={"errors": lambda log: errors_along(found)},
     )
 
 
