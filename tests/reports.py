@@ -11,8 +11,7 @@ from twins import SIGMAS, TRUTH, record, with_noise
 from hallsym.estimation import fit
 from hallsym.families import build
 from hallsym.inference import Identifiability, identify
-from hallsym.report.data.gather import RunSeries, series_of
-from hallsym.report.data.survey import Trace
+from hallsym.report.data.gather import RunSeries, Trace, series_of
 from hallsym.report.drawing import WIDTH
 from hallsym.simulation import Campaign, NoiseModel, Run, simulate, sine
 

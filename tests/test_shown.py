@@ -41,11 +41,21 @@ def results(columns: dict[str, np.ndarray], fit: hallsym.Fit) -> dict[str, Any]:
         "Generated": hallsym.generate(fit, allow_undetermined=True),
         "Plan": hallsym.plan(ranges, "stage31", values, fit.noise.std, runs=6),
         "Budget": hallsym.position_budget(fit)["x_m"],
+        "UncertaintyMap": hallsym.uncertainty_map(fit, {"x_m": (-1e-4, 1e-4), "y_m": (0.0, 1e-4)}),
         "ErrorModel": hallsym.error_model(fit.model, {"H1x": 0.2}, over=("x_m", -1e-3, 1e-3)),
     }
 
 
-KINDS = ("Fit", "Evaluation", "Diagnosis", "Identifiability", "Plan", "Budget", "ErrorModel")
+KINDS = (
+    "Fit",
+    "Evaluation",
+    "Diagnosis",
+    "Identifiability",
+    "Plan",
+    "Budget",
+    "UncertaintyMap",
+    "ErrorModel",
+)
 NOT_RESULTS = {"Curve"}
 """Types with a record that are input too."""
 
@@ -54,7 +64,7 @@ def test_every_result_has_the_same_methods() -> None:
     kinds = [getattr(hallsym, name) for name in hallsym.__all__]
     recorded = {k.__name__: k for k in kinds if isinstance(k, type) and hasattr(k, "to_dict")}
     assert {name for name, kind in recorded.items() if not issubclass(kind, Shown)} == NOT_RESULTS
-    assert recorded.keys() - NOT_RESULTS | {"TurnPlan"} == _CONTENTS.keys()
+    assert recorded.keys() - NOT_RESULTS | {"TurnPlan", "UncertaintyMap"} == _CONTENTS.keys()
 
 
 @pytest.mark.parametrize("kind", ["Belonging", "Generated"])
@@ -78,7 +88,7 @@ def test_a_result_shows_itself_in_every_form(results: dict[str, Any], kind: str,
     assert len(result.summary().split("\n")) >= 3
     frame = result.to_dataframe()
     assert len(frame) > 0
-    assert frame.columns[0] in ("parameter", "run", "effect", "runs", "source", "x_m")
+    assert frame.columns[0] in ("parameter", "run", "effect", "runs", "source", "x_m", "output")
     figure = result.plot()
     assert isinstance(figure, Figure)
     figure.savefig(tmp_path / "a.png")

@@ -11,8 +11,7 @@ import numpy as np
 from hallsym.estimation import Fit
 from hallsym.estimation.decoding import ErrorTable
 from hallsym.report import picture as p
-from hallsym.report.data.gather import Cells, Gathered, RunSeries
-from hallsym.report.data.survey import Group, held_out
+from hallsym.report.data.gather import Cells, Gathered, Group, RunSeries, held_out
 from hallsym.report.words import largest, minus, name, number, scale
 
 Sizes = Mapping[str, Mapping[str, float]]

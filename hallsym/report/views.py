@@ -112,6 +112,7 @@ _CONTENTS = {
     "SelfFit": "self_calibration.self_fit_content",
     "Plan": "plan.plan_content",
     "Budget": "budget.budget_content",
+    "UncertaintyMap": "budget.map_content",
     "Fleet": "fleet.fleet_content",
     "RingFleet": "self_calibration.ring_fleet_content",
     "TurnPlan": "self_calibration.turns_content",

@@ -15,6 +15,7 @@ from hallsym.estimation import Fit
 from hallsym.log import Log, batches
 from hallsym.model import Model
 from hallsym.records import named
+from hallsym.shown import Shown
 from hallsym.uncertainty.gum import Budget, Source, students
 from hallsym.uncertainty.inputs import Settings, independent_inputs, slopes
 
@@ -208,8 +209,8 @@ def over_log(fit: Fit, log: Log, settings: Settings | None = None) -> Recorded:
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class UncertaintyMap:
+@dataclass(frozen=True, eq=False, repr=False)
+class UncertaintyMap(Shown):
     """U of every pose coordinate on a grid.
 
     `axes`: column -> values along it [SI], in the order of the grid's axes. `fixed`: where the other columns

@@ -18,8 +18,7 @@ from hallsym.estimation import Fit, fit
 from hallsym.estimation.calibration import Claim
 from hallsym.log import Log, read_log
 from hallsym.report.content import document
-from hallsym.report.data.gather import Cells, gather
-from hallsym.report.data.survey import worst_first
+from hallsym.report.data.gather import Cells, gather, worst_first
 from hallsym.report.drawing import draw, svg
 from hallsym.report.panels import ACROSS, UP, by_groups, plane, script_data
 from hallsym.report.picture import Axis, Panel

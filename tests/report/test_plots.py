@@ -10,15 +10,13 @@ import reports
 from twins import SIGMAS, record, with_noise
 
 from hallsym.cli.main import main
-from hallsym.diagnosis import examine, prepare
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, evaluate, fit
 from hallsym.estimation.prediction import decoded
 from hallsym.families import build
 from hallsym.families.recording import Correction
 from hallsym.log import Log
-from hallsym.report.data.gather import diagnosed
-from hallsym.report.data.survey import COLUMNS, Trace, held_out, settings
+from hallsym.report.data.gather import COLUMNS, Trace, held_out, settings
 from hallsym.report.drawing import DPI, WIDTH, draw, save, svg
 from hallsym.report.results import fit as plots
 from hallsym.simulation import Campaign, NoiseModel, Run, simulate, sine
@@ -140,19 +138,6 @@ def test_the_command_draws_an_evaluation(tmp_path: Path, capsys) -> None:
     (path,) = tmp_path.iterdir()
     assert f"wrote {path}" in capsys.readouterr().out
     assert path.stem == "errors_by_setting"
-
-
-@pytest.mark.slow
-def test_errors_with_the_effects_are_those_of_the_diagnosis() -> None:
-    """72 knots of a turn, whose readings have a harmonic."""
-    a = np.arange(72) * 2 * np.pi / 72
-    angle = a + 4e-3 * np.sin(4 * a) + np.random.default_rng(4).normal(0, 2e-4, 72)
-    seen = examine(prepare(Log.from_arrays({"angle_ref_rad": a, "angle_rad": angle}), "rotary"))
-    found = seen.diagnosis
-    for base, gap in ((seen.before, found.gap_before), (seen.after, found.gap_after)):
-        parts = [e for block, (e,) in diagnosed(base).blocks() if block.run in found.validation_runs]
-        rmse = np.sqrt(np.nanmean(np.concatenate(parts, axis=1) ** 2))
-        assert rmse == pytest.approx(gap.rmse["angle_rad"], rel=1e-6)
 
 
 # -- traces ----------------------------------------------------------------------------------------------

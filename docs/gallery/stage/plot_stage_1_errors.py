@@ -8,10 +8,7 @@ what the stated noise leaves.
 """
 
 import hallsym
-from hallsym.report.data.survey import look_over
-from hallsym.report.drawing import draw
-from hallsym.report.results.fit import errors_by_setting
 
 log = hallsym.bundled_campaign()
 fit = hallsym.fit(log, "stage31", solver="direct")
-figure = draw(errors_by_setting(fit, look_over(log, fit)))
+figure = fit.plot()

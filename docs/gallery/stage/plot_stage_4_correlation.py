@@ -7,8 +7,6 @@ readings.
 """
 
 import hallsym
-from hallsym.report.drawing import draw
-from hallsym.report.results.identifiability import correlation
 
 fit = hallsym.fit(hallsym.bundled_campaign(), "stage31", solver="direct")
-figure = draw(correlation(hallsym.identify(fit)))
+figure = hallsym.identify(fit).plot()

@@ -154,6 +154,19 @@ def comparison_table(comparisons: Sequence[Comparison]) -> Table:
     return Table(head, rows, "propagation of distributions beside the linear result")
 
 
+def map_content(grid: UncertaintyMap) -> Content:
+    """Return U over a grid: the worst of each coordinate in a sentence, then rms, worst and its place."""
+    worst = each(grid.recorded.worst, grid.periodic)
+    return Content(
+        "Map of the uncertainty",
+        f"The largest expanded uncertainty over the map is {worst}.",
+        first=[recorded_table(grid.recorded, "U over the map")],
+        pictures={"uncertainty_map": lambda log: uncertainty_picture(grid)},
+        columns={"output": list(grid.pose)}
+        | {what: list(getattr(grid.recorded, what).values()) for what in ("rms", "worst")},
+    )
+
+
 def recorded_table(recorded: Recorded, title: str) -> Table:
     """Return U over a workspace: rms, worst, and where that is."""
     rows = []

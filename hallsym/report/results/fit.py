@@ -19,9 +19,8 @@ from hallsym.log import Log, Weigh, as_log
 from hallsym.model import Parameter
 from hallsym.report import picture as p
 from hallsym.report.content import Block, Content, Items, Section, Table
-from hallsym.report.data.gather import Gathered, gather
+from hallsym.report.data.gather import Gathered, gather, settings
 from hallsym.report.data.periodic import periodic_of
-from hallsym.report.data.survey import settings
 from hallsym.report.panels import by_group, by_groups
 from hallsym.report.results import shared
 from hallsym.report.results.periodic import periodic
