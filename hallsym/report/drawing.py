@@ -250,12 +250,10 @@ def svg(panel: p.Panel, width: float, *, fixed: bool = False) -> Markup:
 def key(panels: Sequence[p.Panel], *, fixed: bool = False) -> Markup:
     """Return the legend of panels as SVG; nothing where no layer has a name. `fixed` as of `svg`."""
     with _style(**{"font.size": PAGE_FONT}):
-        ax, found = Figure().add_subplot(), dict[str, Any]()
-        for panel in panels:
-            for layer in panel.layers:
-                layer(ax)
-            found |= {words: mark for mark, words in zip(*ax.get_legend_handles_labels(), strict=True)}
-            ax.clear()
+        ax = Figure().add_subplot()
+        for layer in (layer for panel in panels for layer in panel.layers):
+            layer(ax)
+        found = {words: mark for mark, words in zip(*ax.get_legend_handles_labels(), strict=True)}
         if not found:
             return Markup("")
         width = 360.0
