@@ -31,11 +31,13 @@ def fit(columns: dict[str, np.ndarray]) -> hallsym.Fit:
 @pytest.fixture(scope="module")
 def results(columns: dict[str, np.ndarray], fit: hallsym.Fit) -> dict[str, Any]:
     """One result of each kind."""
+    turn = np.arange(72) * 2 * np.pi / 72  # knots of an encoder whose readings have a harmonic
+    angle = turn + 4e-3 * np.sin(4 * turn) + np.random.default_rng(4).normal(0, 2e-4, 72)
     ranges, values = hallsym.paper_ranges(), dict(zip(fit.model.names, fit.values, strict=True))
     return {
         "Fit": fit,
         "Evaluation": hallsym.evaluate(fit, columns),
-        "Diagnosis": hallsym.diagnose(columns, "stage30"),
+        "Diagnosis": hallsym.diagnose({"angle_ref_rad": turn, "angle_rad": angle}, "rotary"),
         "Identifiability": hallsym.identify(fit, profiles="none"),
         "Belonging": hallsym.belonging(hallsym.evaluate(fit, columns)),
         "Generated": hallsym.generate(fit, allow_undetermined=True),
