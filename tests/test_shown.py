@@ -49,15 +49,8 @@ def results(columns: dict[str, np.ndarray], fit: hallsym.Fit) -> dict[str, Any]:
 
 
 KINDS = (
-    "Fit",
-    "Evaluation",
-    "Diagnosis",
-    "Identifiability",
-    "Plan",
-    "Budget",
-    "UncertaintyMap",
-    "ErrorModel",
-)
+    "Fit", "Evaluation", "Diagnosis", "Identifiability", "Plan", "Budget", "UncertaintyMap", "ErrorModel",
+)  # fmt: skip
 NOT_RESULTS = {"Curve"}
 """Types with a record that are input too."""
 

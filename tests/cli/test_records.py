@@ -23,6 +23,7 @@ LINES = [
     pytest.param("demo -o demo", marks=SLOW),
     pytest.param("diagnose LOG --model rotary", marks=SLOW),
     "evaluate calib.json LOG twice.csv",
+    "evaluate calib.json LOG --plots errors_by_setting",
     "export calib.json --table csv --entries 64 -o table.csv",
     "fit LOG --model rotary --solver direct",
     f"fit {RING} --reference constant-speed",

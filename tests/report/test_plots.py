@@ -9,7 +9,6 @@ import pytest
 import reports
 from twins import SIGMAS, record, with_noise
 
-from hallsym.cli.main import main
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, evaluate, fit
 from hallsym.estimation.prediction import decoded
@@ -20,10 +19,6 @@ from hallsym.report.data.gather import COLUMNS, Trace, held_out, settings
 from hallsym.report.drawing import DPI, WIDTH, draw, save, svg
 from hallsym.report.results import fit as plots
 from hallsym.simulation import Campaign, NoiseModel, Run, simulate, sine
-
-ROOT = Path(__file__).resolve().parents[2]
-CAMPAIGN = ROOT / "data" / "campaign"
-CALIBRATION = ROOT / "tests" / "golden" / "calib.json"
 
 
 def _legends(figure) -> list[str]:
@@ -127,17 +122,6 @@ def test_corrections_of_the_fit_are_applied(log: Log, fitted: Fit) -> None:
     right, drawn = (draw(plots.fit_figure(*made)).axes[0] for made in ((log, fitted), (swapped, wired)))
     for line, same in zip(drawn.lines, right.lines, strict=True):
         np.testing.assert_array_equal(line.get_ydata(), same.get_ydata())
-
-
-# -- an evaluation ----------------------------------------------------------------------------------------
-
-
-def test_the_command_draws_an_evaluation(tmp_path: Path, capsys) -> None:
-    words = ["evaluate", str(CALIBRATION), str(CAMPAIGN), "--plots", str(tmp_path)]
-    assert main(words) == 0
-    (path,) = tmp_path.iterdir()
-    assert f"wrote {path}" in capsys.readouterr().out
-    assert path.stem == "errors_by_setting"
 
 
 # -- traces ----------------------------------------------------------------------------------------------
