@@ -112,12 +112,12 @@ def adapted(
 def plain(model: Model) -> Model:
     """Return the model without the effects beyond those that its name stands for; bounds and nominals stay.
 
-    A model without a maker in its family has no plain form and is returned as it is.
+    One that has none of them, or no maker in its family, is returned as it is.
     """
     make = model.family.maker(model.name)
-    if make is None:
+    base = make(model.layout) if make else model
+    if base.effects == model.effects:
         return model
-    base = make(model.layout)
     mine = {p.name: p for p in (*model.parameters, *model.offsets)}
     kept = [mine[p.name] for p in (*base.parameters, *base.offsets) if p.name in mine]
     return base.with_parameters(
