@@ -21,7 +21,6 @@ import numpy as np
 from hallsym.codegen.decoupler import Decoupler, Entry, short, unit
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit
-from hallsym.estimation.decoding import decoder
 from hallsym.log import Log
 
 LONGEST = 3.0
@@ -206,7 +205,8 @@ def followed(fit: Fit, log_: Log, observer: Observer) -> tuple[Followed, ...]:
 def _runs(fit: Fit, log_: Log) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Return times, decoded poses and references of the runs of a log, each from its own zero."""
     model, out = fit.model, []
-    decode = decoder(model, np.array([fit.noise.sigmas[c].value ** 2 for c in model.channels]))
+    weight = 1.0 / np.array([fit.noise.sigmas[c].value ** 2 for c in model.channels])
+    none = np.zeros(len(model.offsets))
     run, t = log_.array("run"), log_.array("t_s")
     rows = {c: log_.array(c) for c in (*model.channels, *model.state, *model.references)}
     for number in np.unique(run):
@@ -216,7 +216,7 @@ def _runs(fit: Fit, log_: Log) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]
         readings, states, reference = ([rows[c][own] for c in columns] for columns in (
             model.channels, model.state, model.references
         ))  # fmt: skip
-        pose = decode(fit.values, np.zeros(len(model.offsets)), readings, states, np.array(reference))
+        pose = model.decode(fit.values, none, readings, states, weight, reference)
         off = _around(pose - np.array(reference), _periods(fit)[:, None])
         pose = pose - off.mean(axis=1, keepdims=True)  # as after a reset at a known pose
         out.append((t[own], pose, np.array(reference)))

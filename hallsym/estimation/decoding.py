@@ -90,25 +90,6 @@ def nominal_variance(model: Model, reading_variance: np.ndarray) -> np.ndarray:
     return np.ones(len(model.channels)) if len(units) == 1 else np.asarray(reading_variance)
 
 
-def decoder(model: Model, reading_variance: np.ndarray) -> Callable[..., np.ndarray]:
-    """Return `decode(p, offsets, readings, states, reference=None) -> (n_pose, samples)`, compiled once.
-
-    Near the reference (n_pose, samples) where one is given and the pose repeats.
-    """
-    weight, repeats = 1.0 / np.asarray(reading_variance), bool(set(model.pose) & set(model.period))
-
-    def decode(
-        p: np.ndarray, offsets: np.ndarray, readings: list, states: list, reference: Sequence | None = None
-    ) -> np.ndarray:
-        with np.errstate(all="ignore"):  # impossible readings have no pose: nan
-            near = [reference] if repeats and reference is not None else []
-            form = "decoded_near" if near else "decoded"
-            run = model.remember(f"{form}, on arrays", lambda: on_arrays(getattr(model, form)))
-            return run(p, offsets, readings, states, weight, *near)[0]
-
-    return decode
-
-
 def column_slopes(
     model: Model, p: np.ndarray, pose: Sequence | np.ndarray, state: Sequence | np.ndarray
 ) -> np.ndarray:
@@ -170,12 +151,11 @@ def pose_errors(model: Model, reading_variance: np.ndarray) -> PoseErrors:
     """
     weight = 1.0 / np.asarray(reading_variance)
     if not knows_rails(model):
-        decode = decoder(model, reading_variance)
 
         def decoded(p: np.ndarray, offsets: np.ndarray, data: Mapping[str, np.ndarray]) -> np.ndarray:
             readings, states = ([data[c] for c in names] for names in (model.channels, model.state))
             reference = [data[c] for c in model.references]
-            found = decode(p, offsets, readings, states, reference)
+            found = model.decode(p, offsets, readings, states, weight, reference)
             for row, column in zip(found, reference, strict=True):
                 row -= column
             return found

@@ -13,7 +13,6 @@ from hallsym.estimation.calibration import Fit
 from hallsym.estimation.decoding import (
     ErrorTable,
     columns_of,
-    decoder,
     error_tables,
     logged_columns,
     nominal_variance,
@@ -116,7 +115,7 @@ def predicted(fit: Fit, frame: Any) -> dict[str, np.ndarray]:
         )
     known = fit if is_own(fit, log) else fit.changed(zero_deviations={})
     read = as_read(log, model, fit.corrections) if referenced else log
-    decode, offsets = decoder(model, reading_variance(fit)), read_offsets(known, read)
+    weight, offsets = 1 / reading_variance(fit), read_offsets(known, read)
     none = np.zeros(len(model.offsets))
     wide = extended(read, model, fit.noise.std, model.named(fit.values))
 
@@ -126,7 +125,8 @@ def predicted(fit: Fit, frame: Any) -> dict[str, np.ndarray]:
                 [block.data[c] for c in names if c in block.data]
                 for names in (model.channels, model.state, model.references)
             )
-            yield block, decode(fit.values, offsets.get(block.run, none), readings, state, near or None)
+            own = offsets.get(block.run, none)
+            yield block, model.decode(fit.values, own, readings, state, weight, near or None)
 
     return _by_sample(log, model, poses())
 

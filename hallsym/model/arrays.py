@@ -6,6 +6,7 @@ speed. The graph stays the only source of the mathematics.
 """
 
 from collections.abc import Callable, Sequence
+from math import prod
 from typing import Any
 
 import casadi as ca
@@ -71,6 +72,10 @@ WORK, FEWEST = 4_000_000, 384
 A graph of many magnets and sensors holds tens of thousands of values of each sample at once."""
 
 
+Columns = Sequence | np.ndarray
+"""One scalar or array of samples per entry of an input."""
+
+
 def on_arrays(function: ca.Function) -> Callable[..., list[np.ndarray]]:
     """Return `run(*inputs) -> outputs`, `function` evaluated on arrays of samples.
 
@@ -110,12 +115,16 @@ def on_arrays(function: ca.Function) -> Callable[..., list[np.ndarray]]:
     def run(*inputs: Sequence, out: list[np.ndarray] | None = None) -> list[np.ndarray]:
         shape = np.broadcast_shapes(*{shape for column in inputs for shape in _shapes(column)})
         out = [np.empty((n, *shape)) for n in rows] if out is None else out
-        if len(shape) != 1 or shape[0] <= most:
+        rows_at_once = max(1, most // max(1, prod(shape[1:])))
+        if not shape or shape[0] <= rows_at_once:
             evaluate(inputs, out)
             return out
-        for low in range(0, shape[0], most):
-            here = slice(low, low + most)
-            own = [[v if np.size(v) == 1 else v[here] for v in column] for column in inputs]
+        for low in range(0, shape[0], rows_at_once):
+            here = slice(low, low + rows_at_once)
+            own = [
+                [v[here] if np.ndim(v) == len(shape) and len(v) > 1 else v for v in column]
+                for column in inputs
+            ]
             evaluate(own, [values[:, here] for values in out])
         return out
 

@@ -5,17 +5,15 @@ d pose / d m = D = (J^T W J)^-1 J^T W with J = df/dpose, and d pose / d u = -D d
 J and df/du are CasADi's exact Jacobians of the model's reading.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 
-from hallsym.model.arrays import estimator, on_arrays
+from hallsym.model.arrays import Columns, estimator, jacobian, on_arrays
 from hallsym.model.model import Model
-
-Columns = Sequence | np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,5 +63,5 @@ def _slopes(model: Model) -> Callable[..., list[np.ndarray]]:
     """`(p, offsets, pose, state) -> d reading / d (p, offsets, pose, state)`, flattened column by column."""
     s = model.symbols
     inputs = [s.parameters, s.offsets, s.pose, s.state]
-    jacobian = ca.jacobian(s.full(s.reading), ca.vertcat(*inputs))
-    return on_arrays(ca.Function("slopes", inputs, [ca.densify(jacobian)]))
+    slopes = jacobian(s.full(s.reading), ca.vertcat(*inputs))
+    return on_arrays(ca.Function("slopes", inputs, [ca.cse(ca.densify(slopes))]))

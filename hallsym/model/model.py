@@ -18,13 +18,17 @@ import casadi as ca
 import numpy as np
 
 from hallsym.errors import InputError, nearest
-from hallsym.model.arrays import on_arrays, on_vectors
+from hallsym.model.arrays import Columns, jacobian, on_arrays, on_vectors
 from hallsym.model.derived import Computed
 from hallsym.model.family import Family
 
 LINKS = ("clock", "mechanics", "reference", "field", "transducer", "electronics")
 """Links in the order in which a signal meets them. `reference` stands after `mechanics` because the zero of
 the reference is seen by each probe as a displacement."""
+
+
+STEPS = 4
+"""Newton's steps where readings are not linear in the pose; one is exact where they are."""
 
 
 @dataclass(frozen=True)
@@ -401,43 +405,66 @@ class Model:
         reading is divided by its gain, so that the matrix hardly depends on the state. With more channels
         than coordinates each step is the weighted least-squares one; `weight` is 1/variance per channel.
         """
-        return self._decoder("decoded", None)
+        begin, slopes, solve, count = self._newton(near=False)
+        inputs = begin.sx_in()
+        pose = begin(*inputs)
+        for _ in range(count):
+            pose = solve(pose, inputs[-1], slopes(*inputs, pose))
+        names = ["parameters", "offsets", "reading", "state", "weight"]
+        return ca.Function("decoded", inputs, [pose], names, ["pose"])
 
-    @cached_property
-    def decoded_near(self) -> ca.Function:
-        """`decoded` with a pose `(n_pose,)` as last input, on whose branch a coordinate that repeats lies.
+    def decode(
+        self, p: Columns, offsets: Columns, reading: Columns, state: Columns, weight: Columns,
+        near: Columns | None = None,
+    ) -> np.ndarray:  # fmt: skip
+        """Return the pose (n_pose, *samples) that `decoded` gives for arrays of samples; not finite: no pose.
 
-        Readings repeat with the pose; errors of the reference, such as its scale, do not.
+        Inputs as for `on_arrays`. `near`: a pose on whose branch coordinates that repeat lie. Readings repeat
+        with the pose; errors of the reference, such as its scale, do not.
         """
-        return self._decoder("decoded_near", ca.SX.sym("near", len(self.pose)))
+        branch = [] if near is None or not {*self.pose} & {*self.period} else [near]
+        begin, steps = self.remember(("decode", bool(branch)), lambda: self._on_arrays(bool(branch)))
+        inputs = [p, offsets, reading, state, *branch, weight]
+        (pose,) = begin(*inputs)
+        for slopes, solve in steps:
+            (pose,) = solve(pose, weight, *slopes(*inputs, pose))
+        return pose
 
-    def _decoder(self, name: str, near: ca.SX | None) -> ca.Function:
-        s = self.symbols
+    def _on_arrays(self, near: bool) -> tuple[Callable, list[tuple[Callable, Callable]]]:
+        begin, slopes, solve, count = self._newton(near)
+        return on_arrays(begin), [(on_arrays(slopes), on_arrays(solve))] * count if count else []
+
+    def _newton(self, near: bool) -> tuple[ca.Function, ca.Function, ca.Function, int]:
+        """Return where Newton's method begins, two parts of a step, and how many steps follow.
+
+        A linear model begins with its step. Inputs of the beginning are those of `decoded`, the pose `near`
+        before the weight if there is one; of the first part these and the pose. It returns residual and
+        slopes of each channel in turn, so that few values are in use at once, for the second part.
+        """
+        s, size = self.symbols, len(self.channels)
         reading = s.full(s.reading)
-        jacobian = ca.jacobian(reading, s.pose)
-        linear = not any(ca.which_depends(ca.vec(jacobian), s.pose, 1, False))
-        gain = ca.SX.ones(len(self.channels))
-        if len(self.channels) == len(self.pose):
+        slope, gain = jacobian(reading, s.pose), ca.SX.ones(size)
+        if size == len(self.pose):
             gain = gain * s.full(s.gain)
-        measured = ca.SX.sym("reading", len(self.channels))
-        weight = ca.SX.sym("weight", len(self.channels))
+        measured, weight, branch = (
+            ca.SX.sym(name, n) for name, n in (("reading", size), ("weight", size), ("near", len(self.pose)))
+        )
+        residual = self._within_half(measured - reading, self.channels) if near else measured - reading
+        rows = ca.horzcat(residual, slope) / ca.repmat(gain, 1, 1 + slope.size2())
+        inputs = [s.parameters, s.offsets, measured, s.state, *([branch] if near else []), weight]
+        slopes = ca.Function("slopes", [*inputs, s.pose], [ca.cse(ca.densify(ca.vec(rows.T)))])
+        flat = ca.SX.sym("rows", rows.numel())
+        given = ca.reshape(flat, rows.size2(), size).T
+        moved = s.pose + _solve(given[:, 1:], given[:, 0], weight)
+        solve = ca.Function("solve", [s.pose, weight, flat], [ca.cse(ca.densify(moved))])
         pose: ca.SX = ca.SX.zeros(len(self.pose))
         if self.begin is not None:
             pose = self.begin(measured, dict(zip(self.names, ca.vertsplit(s.parameters), strict=True)))
-        if near is not None:
-            pose = near + self._within_half(pose - near, self.pose)
-        for _ in range(1 if linear else 4):
-            residual, slope, by = ca.substitute([measured - reading, jacobian, gain], [s.pose], [pose])
-            residual = residual if near is None else self._within_half(residual, self.channels)
-            pose = pose + _solve(slope / ca.repmat(by, 1, slope.size2()), residual / by, weight)
-        branch = [] if near is None else [near]
-        return ca.Function(
-            name,
-            [s.parameters, s.offsets, measured, s.state, weight, *branch],
-            [ca.densify(pose)],
-            ["parameters", "offsets", "reading", "state", "weight", "near"][: 5 + len(branch)],
-            ["pose"],
-        )
+        if near:
+            pose = branch + self._within_half(pose - branch, self.pose)
+        linear = not any(ca.which_depends(ca.vec(slope), s.pose, 1, False))
+        first = solve(pose, weight, slopes(*inputs, pose)) if linear else ca.densify(pose)
+        return ca.Function("begin", inputs, [first]), slopes, solve, 0 if linear else STEPS
 
     def _within_half(self, values: ca.SX, columns: tuple[str, ...]) -> ca.SX:
         """Return values of columns, periodic ones wrapped to half a period around zero."""
@@ -461,7 +488,7 @@ class Model:
         """d pose / d reading, `(parameters, pose, state, weight) -> (n_pose, n_channels)`, offsets 0."""
         s, weight = self.symbols, ca.SX.sym("weight", len(self.channels))
         reading = ca.substitute(s.full(s.reading), s.offsets, ca.SX.zeros(len(self.offsets)))
-        slope = _solve(ca.jacobian(reading, s.pose), ca.SX.eye(len(self.channels)), weight)
+        slope = _solve(jacobian(reading, s.pose), ca.SX.eye(len(self.channels)), weight)
         inputs = [s.parameters, s.pose, s.state, weight]
         return ca.Function("noise_gain_at", inputs, [ca.densify(slope)])
 

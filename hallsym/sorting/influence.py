@@ -56,9 +56,7 @@ class Influence:
         """
         model, none = self.model, np.zeros(len(self.model.offsets))
         read = self.reading[:, None, :] + self.part[:, None, :] * (gains.T[:, :, None] - 1.0)
-        with np.errstate(all="ignore"):
-            decode = on_arrays(model.decoded)
-            (pose,) = decode(self.values, none, read, self.where.state, np.ones(len(model.channels)))
+        pose = model.decode(self.values, none, read, self.where.state, np.ones(len(model.channels)))
         if not np.isfinite(pose).all():
             raise InputError(
                 f"The decoder of {model.name} finds no pose for some of the sets: their gains differ"

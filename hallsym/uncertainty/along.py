@@ -111,9 +111,8 @@ def decoding_errors(
 
     def errors(machines: np.ndarray) -> np.ndarray:
         own = [column[:, None] for column in machines.T]
-        with np.errstate(all="ignore"):
-            (reading,) = read(own, np.zeros(len(model.offsets)), pose, state)
-            found = decode(reading, kept)
+        (reading,) = read(own, np.zeros(len(model.offsets)), pose, state)
+        found = decode(reading, kept)
         if not np.isfinite(found).all():
             raise InputError(f"The decoder of {plain.name} finds no pose for some of the readings: {remedy}.")
         return near(plain, found, pose[:, None]) - pose[:, None]
@@ -130,12 +129,8 @@ def _decode(plain: Model, decoder: str) -> Callable[[np.ndarray, list[np.ndarray
             f"{', '.join(known)}."
         )
     if decoder == LEAST_SQUARES:
-        run, offsets, weight = (
-            on_arrays(plain.decoded),
-            np.zeros(len(plain.offsets)),
-            np.ones(len(plain.channels)),
-        )
-        return lambda reading, state: run(plain.nominal, offsets, reading, state, weight)[0]
+        offsets, weight = np.zeros(len(plain.offsets)), np.ones(len(plain.channels))
+        return lambda reading, state: plain.decode(plain.nominal, offsets, reading, state, weight)
     formula: Any = plain.begin if decoder == CLOSED_FORM else plain.formulas[decoder]
     v = ca.SX.sym("v", len(plain.channels))
     named = {n: ca.SX(a) for n, a in plain.named(plain.nominal).items()}

@@ -15,7 +15,6 @@ from scipy.special import chdtri, ndtr
 
 from hallsym.errors import InputError, require
 from hallsym.estimation import Fit
-from hallsym.estimation.decoding import decoder
 from hallsym.uncertainty.gum import Budget
 from hallsym.uncertainty.inputs import (
     Settings,
@@ -253,7 +252,7 @@ def decoded_at_random(fit: Fit, at: Mapping[str, float], settings: Settings) -> 
         "zero reading": first, "zero state": s0, "zero pose": q0,
     }  # fmt: skip
     weight, root = weights(fit), _root(fit.covariance)
-    decode, stretch = decoder(model, 1.0 / weight), _stretch(fit.degrees_of_freedom)
+    stretch = _stretch(fit.degrees_of_freedom)
     offsets = offsets_at_reset(model) if model.offsets else None
     of_model = np.sqrt(sum((v[0] for v in left.values()), np.zeros(len(pose))))
 
@@ -268,7 +267,7 @@ def decoded_at_random(fit: Fit, at: Mapping[str, float], settings: Settings) -> 
         d = still
         if offsets is not None:
             (d,) = offsets(p, x["zero reading"], x["zero pose"], x["zero state"], weight)
-        q = decode(p, d, x["reading"], x["state"])
+        q = model.decode(p, d, x["reading"], x["state"], weight)
         q = q + x["scale"] * (q - q0[:, None])
         return q + of_model[:, None] * rng.standard_normal(q.shape) if left else q
 

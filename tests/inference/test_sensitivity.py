@@ -123,19 +123,16 @@ def test_a_fixed_parameter_is_said_to_be_fixed_and_one_at_its_bound_to_be_there(
 
 def test_effect_of_a_parameter_is_what_the_decoder_does(report, fitted):
     """1 % of eta_A through the decoder itself, at the readings of the log, zero deviations held."""
-    from hallsym.estimation.decoding import decoder
-
-    model, log = fitted.model, bundled_campaign()
-    decode = decoder(model, np.ones(3))
+    model, log, weight = fitted.model, bundled_campaign(), np.ones(3)
     readings = [log.array(c) for c in model.channels]
     states = [log.array(c) for c in model.state]
     p = fitted.values.copy()
-    before = decode(p, np.zeros(3), readings, states)
+    before = model.decode(p, np.zeros(3), readings, states, weight)
     k = model.names.index("eta_A")
     for factor in (1.0001, 0.9999):
         q = p.copy()
         q[k] *= factor
-        moved = np.abs(decode(q, np.zeros(3), readings, states) - before).max(axis=1) / 1e-4
+        moved = np.abs(model.decode(q, np.zeros(3), readings, states, weight) - before).max(axis=1) / 1e-4
         for column, worst in zip(model.pose, moved, strict=True):
             said = report["eta_A"].percent.worst[column] * 100
             assert said == pytest.approx(worst, rel=0.05)  # zeros and thinning of the workspace

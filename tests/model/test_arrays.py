@@ -169,5 +169,8 @@ def test_many_samples_go_through_in_pieces(monkeypatch):
     whole = on_arrays(f)([2.0], samples)
     monkeypatch.setattr(arrays, "WORK", 1)
     monkeypatch.setattr(arrays, "FEWEST", 100)
-    for one, other in zip(on_arrays(f)([2.0], samples), whole, strict=True):
+    parts, table = on_arrays(f)([2.0], samples), samples.reshape(2, 143, 7)
+    rows = on_arrays(f)([np.full((143, 1), 2.0)], table)  # a parameter of each row: one of its axes is 1
+    for one, row, other in zip(parts, rows, whole, strict=True):
         np.testing.assert_array_equal(one, other, strict=True)
+        np.testing.assert_array_equal(row.reshape(-1, 1001), other, strict=True)

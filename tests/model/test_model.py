@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from hallsym.errors import InputError
+from hallsym.families import build
 from hallsym.families.stage.models import stage15, stage31, zero_deviation
-from hallsym.model import LINKS, Parameter
+from hallsym.model import LINKS, Parameter, on_arrays
 
 
 def test_links_are_ordered_along_the_chain_whatever_the_order_of_adding():
@@ -109,3 +110,30 @@ def test_overdetermined_decoding_is_weighted_least_squares():
     assert np.allclose(
         found, expected, rtol=0, atol=1e-14 * np.abs(expected).max() * np.linalg.cond(design) ** 2
     )
+
+
+@pytest.mark.parametrize(
+    ("name", "turns"), [("stage31", 0), ("rotary", 3), ("halbach", 3), ("halbach_planar", 0)]
+)
+def test_arrays_are_decoded_as_single_samples_are_on_the_branch_asked_for(name, turns):
+    """A planar mover that is rotated climbs from period to period, so only its own branch is exact."""
+    model, rng = build(name), np.random.default_rng(1)
+    pose, state = model.poses(3, rng), np.zeros((len(model.state), 3))
+    size = 1.0 if model.typical else 1e-4
+    offsets, weight = np.zeros(len(model.offsets)), np.ones(len(model.channels))
+    (reading,) = on_arrays(model.reading)(model.nominal, offsets, [*(size * pose)], [*state])
+    found = model.decode(model.nominal, offsets, reading, state, weight)
+    single = [
+        np.asarray(model.decoded(model.nominal, offsets, m, s, weight)).ravel()
+        for m, s in zip(reading.T, state.T, strict=True)
+    ]
+    assert np.allclose(found, np.transpose(single), rtol=1e-12, atol=1e-15)
+    shift = np.array([[turns * model.period.get(c, 0.0)] for c in model.pose])
+    near = model.decode(model.nominal, offsets, reading, state, weight, found + shift)
+    assert np.allclose(near, found + shift, rtol=1e-9, atol=1e-12)
+
+
+def test_a_step_of_the_decoder_of_many_sensors_is_a_few_readings():
+    """Of four steps: a gradient costs up to four readings (Griewank and Walther 2008), beside its own."""
+    model = build("halbach_planar")
+    assert model.decoded.n_instructions() < 4 * 5 * model.reading.n_instructions()

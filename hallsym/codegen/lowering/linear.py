@@ -329,13 +329,12 @@ class PolynomialModel:
         The weight of a reading has the units of its displacement, as in the table.
         """
         model, eta = self.model, self.eta(p)
-        gain, run = on_arrays(model.gain), on_arrays(model.decoded)
-        n = len(model.channels)
+        gain, n, none = on_arrays(model.gain), len(model.channels), np.zeros(len(model.offsets))
 
         def exact(inputs: np.ndarray) -> np.ndarray:
             readings, state = list(inputs[:n]), list(inputs[n:])
             phi = gain(p, state)[0] / eta[:, None]
-            return run(p, np.zeros(len(model.offsets)), readings, state, list(weight[:, None] / phi**2))[0]
+            return model.decode(p, none, readings, state, list(weight[:, None] / phi**2))
 
         return exact
 
