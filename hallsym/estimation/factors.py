@@ -20,10 +20,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
+from math import isqrt
 from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.linalg.lapack import dtpqrt
 
 from hallsym.errors import InputError
 from hallsym.estimation.decoding import columns_of
@@ -37,9 +39,8 @@ from hallsym.model.features import Features, Tangent, find_features
 
 # -- lossless triangles of a polynomial reading --------------------------------------------------------------
 
-PIECE = 8000
-"""Entries of a piece that is reduced at once: fits the cache, and is below the size at which BLAS starts
-threads, whose start costs more than the work. Wide ones are four times as high as wide."""
+PIECE = 16_000
+"""Entries of a piece that is reduced at once: fits the cache. Wide ones are four times as high as wide."""
 SLOPE_SAMPLES = 64
 """Samples per block from which the effect of reference noise is estimated; a weight needs no more."""
 MOST_PLACES = 512
@@ -120,7 +121,7 @@ class RunStatistics:
             features=self.features.without_offsets,
             centre=self.centre,
             runs=(0,),
-            triangles=_triangle(rows.reshape(1, -1, rows.shape[-1])),
+            triangles=_triangle(rows.reshape(-1, rows.shape[-1]))[None],
             slopes=(share @ self.slopes)[None],
             counts=np.array([self.counts.sum()]),
             first_state=(share @ self.first_state)[None],
@@ -195,7 +196,7 @@ def summarised(
         centre = at if at.ndim == 1 else centre
         for run, triangle, sums, begin, some in _blocks(features, at, batch, batch.weights(weigh)):
             if runs and run == runs[-1]:
-                triangles[-1] = _r(np.vstack([triangles[-1], triangle]))
+                triangles[-1] = _triangle(np.vstack([triangles[-1], triangle]))
                 totals[-1] = totals[-1] + sums
                 places[-1] += some
             else:
@@ -240,24 +241,22 @@ def _blocks(
     features.values(pose, state, at, out=[columns[:n]])
     if weights is not None:
         columns *= weights
-    triangles: list[np.ndarray] = []
-    for group in batch.groups(len(batch.runs)):  # offsets that fill up a block leave its triangle as it is
-        triangles += [*_triangle(np.transpose(batch.layout(*group)(columns), (1, 2, 0)))]
+    triangles = [_triangle(columns[:, part].T) for _, part in batch.parts()]
     weight = np.ones(len(batch)) if weights is None else weights
-    states = np.array(state) if state else np.zeros((0, len(batch)))
     pick, edges = _sparse(batch)
     there = at if at.ndim == 1 else at[:, pick]
     slopes = features.slopes([v[pick] for v in pose], [v[pick] for v in state], there)[0]
     slopes *= weight[pick]
-    starts = batch.edges[:-1]
-    weighed = np.add.reduceat(np.vstack([weight, states * weight]), starts, axis=1).T
+    starts = list(batch.edges[:-1])
+    weighed = np.array([np.add.reduceat(v, starts) for v in (weight, *(v * weight for v in state))]).T
     looked = np.add.reduceat(weight[pick], edges[:-1])[:, None]
     sums = np.hstack([weighed[:, :1], looked, weighed[:, 1:], _products(slopes, features, edges)])
     places: list[list[np.ndarray]] = [[] for _ in batch.runs]
     if model.typical:
         seen = np.vstack([v[pick] for v in (*pose, *state)])
         places = [[seen[:, a:b]] for a, b in pairwise(edges)]
-    yield from zip(batch.runs, triangles, sums, states[:, starts].T, places, strict=True)
+    begin = np.array([v[starts] for v in state]).reshape(len(state), len(starts)).T
+    yield from zip(batch.runs, triangles, sums, begin, places, strict=True)
 
 
 def _products(slopes: np.ndarray, features: Features, edges: Sequence[int]) -> np.ndarray:
@@ -287,14 +286,19 @@ def _thinned(parts: list[np.ndarray]) -> np.ndarray:
 
 
 def _triangle(rows: np.ndarray) -> np.ndarray:
-    """R factor of each of several blocks (b, rows, n), n rows at most; tall ones are reduced in pieces."""
-    b, _, n = rows.shape
-    piece = max(PIECE // n, 4 * n)
-    while (count := -(-rows.shape[1] // piece)) > 1:
-        even = rows.shape[1] // count * count
-        pieces = _r(rows[:, :even].reshape(b, count, -1, n)).reshape(b, count * n, n)
-        rows = np.concatenate([pieces, rows[:, even:]], axis=1)
-    return _r(rows)
+    """R factor of rows (m, n), of m rows where these are fewer; more are reduced piece by piece.
+
+    A triangle over a piece is reduced by LAPACK's TPQRT, in panels that balance their own work and that on
+    the other columns.
+    """
+    m, n = rows.shape
+    if m <= n:
+        return np.asarray(np.linalg.qr(rows, mode="r"))
+    triangle, piece = np.zeros((n, n), order="F"), max(PIECE // n, 4 * n)
+    for low in range(0, m, piece):
+        part = np.array(rows[low : low + piece], order="F")
+        triangle = dtpqrt(0, isqrt(n), triangle, part, overwrite_a=True, overwrite_b=True)[0]
+    return np.asarray(triangle)
 
 
 def _stacked(triangles: Sequence[np.ndarray]) -> np.ndarray:
@@ -315,10 +319,6 @@ def projected(triangles: np.ndarray, k: int) -> np.ndarray:
     u, s, _ = np.linalg.svd(first / np.where(size > 0, size, 1.0), full_matrices=False)
     u = u * (s > 1e-9 * s[:, :1])[:, None]
     return rest - u @ (np.swapaxes(u, 1, 2) @ rest)
-
-
-def _r(matrices: np.ndarray) -> np.ndarray:
-    return np.asarray(np.linalg.qr(matrices, mode="r"))
 
 
 # -- triangles of tangents -----------------------------------------------------------------------------------
