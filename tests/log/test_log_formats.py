@@ -57,7 +57,7 @@ def test_pieces_are_joined(tmp_path: Path, suffix: str) -> None:
 
 def test_csv_with_comments_empty_lines_and_missing_values(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
-    lines = ["# stage 3", "", " run ,t_s,hall_a_m,x_ref_um", "0,0.0, 1e-6,2", "0,0.002,,3.5", ""]
+    lines = ["# stage 3", "", " run ,t_s,hall_a_m,x_ref_um", "0,0.0, 1e-6,2", "0,0.002,,3.5", ",,"]
     path.write_text("\n".join([*lines, "0,0.004,-inf,nan", "0,6e-3,1E-7,4", ""]))
     log = read_log(path)
     assert log.columns == ("run", "t_s", "hall_a_m", "x_ref_m")
