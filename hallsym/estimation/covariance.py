@@ -185,16 +185,16 @@ def _by_octave(
     `columns`: (c, K, samples). Octave o: periods of 2^o to 2^(o + 1) samples. By cosines, which are nearly
     uncorrelated for slow noise too: a block of a random walk ends elsewhere than it begins.
     """
-    lengths = np.diff(batch.edges)
+    lengths, (c, K) = np.diff(batch.edges), columns.shape[:2]
     cuts = [0, *(np.flatnonzero(np.diff(lengths)) + 1).tolist(), len(lengths)]
     for first, last in pairwise(cuts):
-        n, (c, K) = int(lengths[first]), columns.shape[:2]
+        n = int(lengths[first])
         here = columns[..., batch.edges[first] : batch.edges[last]].reshape(c, K, last - first, n)
         octave = np.log2(2 * n / np.maximum(np.arange(n), 0.5)).astype(int)
         ends = np.append(np.flatnonzero(np.diff(octave, prepend=-1)), n)
-        waves = dct(here, norm="ortho").transpose(2, 0, 3, 1)
-        own = [waves[:, :, a:b].reshape(last - first, c, -1) for a, b in pairwise(ends.tolist())]
-        products = np.stack([part @ part.swapaxes(1, 2) for part in own], axis=1)
+        waves = dct(here, norm="ortho").transpose(2, 1, 0, 3)
+        own = (waves[..., a:b] for a, b in pairwise(ends.tolist()))
+        products = np.stack([(part @ part.swapaxes(2, 3)).sum(axis=1) for part in own], axis=1)
         yield batch.runs[first:last], octave[ends[:-1]], products, K * np.diff(ends).astype(float)
 
 
@@ -451,7 +451,7 @@ def _columns(
                 slopes = parts.values(p, here, pose, state)[0]
                 A[j0, k0] = slopes[: len(k0)]
                 A[place[chosen[j[own]]], k[own]] = slopes[len(k0) + own]
-            yield batch, np.tensordot(A if weights is None else A * weights, whiten, (1, 1)).swapaxes(1, 2)
+            yield batch, whiten @ (A if weights is None else A * weights)
 
 
 def _excess_noise_of(point: Point, free: np.ndarray) -> np.ndarray | None:

@@ -181,7 +181,9 @@ def residual_of(model: Model) -> Callable[[np.ndarray, np.ndarray, Mapping[str, 
 
     def residual(p: np.ndarray, offsets: np.ndarray, data: Mapping[str, np.ndarray]) -> np.ndarray:
         pose, state = ([data[c] for c in names] for names in (model.references, model.state))
-        left = np.array([data[c] for c in model.channels]) - read(p, offsets, pose, state)[0]
+        left = read(p, offsets, pose, state)[0]
+        for row, channel in zip(left, model.channels, strict=True):
+            np.subtract(data[channel], row, out=row)
         for k, period in periods:
             left[k] = wrapped(left[k], period)
         return left

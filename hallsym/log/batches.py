@@ -47,9 +47,9 @@ class Batch:
         some = [(run, at) for run, at in self.parts() if run in runs]
         if len(some) == len(self.runs):
             return self
-        index = np.concatenate([np.arange(at.start, at.stop) for _, at in some] or [np.zeros(0, int)])
         edges = np.cumsum([0, *(at.stop - at.start for _, at in some)]).tolist()
-        data = {c: values[index] for c, values in self.data.items()}
+        parts = [{c: values[at] for c, values in self.data.items()} for _, at in some or [(0, slice(0))]]
+        data = joined(parts, tuple(self.data))
         return Batch(tuple(run for run, _ in some), data, tuple(edges))
 
     def pieces(self, most: int) -> Iterator[tuple["Batch", slice]]:
