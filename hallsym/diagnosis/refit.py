@@ -145,7 +145,7 @@ class Refitted:
             used = np.repeat(np.isin(batch.runs, [*fitted]), np.diff(batch.edges))
             if used.any():
                 columns = work.columns(batch, weights)[0][..., used]
-                yield batch.of_runs(fitted), np.tensordot(columns, work.whiten, (1, 1)).swapaxes(1, 2)
+                yield batch.of_runs(fitted), work.whiten @ columns
 
     def values(self) -> np.ndarray:
         """Return the parameters (n,) within the gauges of the model, as a fit gives them."""

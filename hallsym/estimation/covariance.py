@@ -18,9 +18,8 @@ the estimate, whatever acts on a run as a whole.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
-from operator import itemgetter
 
 import numpy as np
 from scipy.fft import dct
@@ -86,26 +85,34 @@ class Octaves:
                 counts[o] = counts.get(o, 0.0) + count
 
         def eliminated(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
-            whole = sum(products.sum(axis=0) for _, products, _ in parts)
-            along = np.vstack([eliminate(whole, offsets)[1], np.eye(len(whole) - offsets)])
-            own = pseudo_inverse(whole[:offsets, :offsets])
+            whole = sum(products.sum(axis=1) for _, products, _ in parts)
+            follow = eliminate(whole, offsets)[1]
+            rest = np.broadcast_to(np.eye(follow.shape[2]), (len(follow), *2 * follow.shape[2:]))
+            along = np.concatenate([follow, rest], axis=1)[:, None]
+            own = pseudo_inverse(whole[:, :offsets, :offsets])
             for octave, products, values in parts:
-                taken = np.einsum("ij,oji->o", own, products[:, :offsets, :offsets])
-                add(octave, along.T @ products @ along, values - taken)
+                taken = np.einsum("rij,roji->ro", own, products[:, :, :offsets, :offsets])
+                left = (along.swapaxes(2, 3) @ products @ along).sum(axis=0)
+                add(octave, left, (values - taken).sum(axis=0))
 
         for pieces in logs:
-            run, parts = None, list[tuple[np.ndarray, np.ndarray, np.ndarray]]()
+            run, parts = None, list[tuple[np.ndarray, np.ndarray, np.ndarray]]()  # of what may go on
             for runs, octave, products, values in (one for own in pieces for one in _by_octave(*own)):
                 if products.shape[2] == 1 or not offsets:
                     mean = np.arange(len(octave)) == 0
                     add(octave, products.sum(axis=0), len(runs) * (values - offsets * mean))
                     continue
-                for k, found in zip(runs, products, strict=True):
-                    if parts and k != run:
+                first = np.flatnonzero([a != b for a, b in pairwise((None, *runs))])
+                products = np.add.reduceat(products, first)
+                values = np.diff(first, append=len(runs))[:, None] * values
+                for part in (slice(1), slice(1, -1), slice(max(len(first) - 1, 1), None)):  # the last may too
+                    own = [runs[k] for k in first[part]]
+                    if parts and own and own[0] != run:
                         eliminated(parts)
                         parts = []
-                    run = k
-                    parts.append((octave, found, values))
+                    if own:
+                        run = own[-1]
+                        parts.append((octave, products[part], values[part]))
             if parts:
                 eliminated(parts)
         order = sorted(sums)
@@ -146,20 +153,18 @@ class Octaves:
         weight = np.where(seen > 1.0, 0.5 * seen, 0.0)
         start = np.log(max(float(weight @ power), 1e-300) / max(float(weight.sum()), 1e-300))
 
-        def smoothed(part: float) -> tuple[float, np.ndarray, np.ndarray]:
-            total = np.diag(weight) + prior / part**2
-            covariance, found = pseudo_inverse(total), np.full(len(seen), start)
-            for _ in range(STEPS):  # Fisher's scoring
-                ratio = np.minimum(power * np.exp(-found), 2.0)
-                found = found + covariance @ (weight * (ratio - 1.0) - prior @ found / part**2)
-            lost = (
-                2 * float(weight @ (found + power * np.exp(-found))) + float(found @ prior @ found) / part**2
-            )
-            gained = -lost - float(np.linalg.slogdet(total)[1]) - 2 * (len(seen) - 1) * np.log(part)
-            return gained, found, np.diag(covariance)
-
-        _, found, variance = max(map(smoothed, PARTS), key=itemgetter(0))
-        return np.exp(found), 2.0 / variance
+        part = np.array(PARTS)[:, None]
+        total = np.diag(weight) + prior / part[:, :, None] ** 2
+        covariance, found = pseudo_inverse(total), np.full((len(part), len(seen)), start)
+        for _ in range(STEPS):  # Fisher's scoring
+            score = weight * (np.minimum(power * np.exp(-found), 2.0) - 1.0) - found @ prior / part**2
+            found = found + (covariance @ score[:, :, None])[:, :, 0]
+        lost = (
+            2 * (found + power * np.exp(-found)) @ weight + np.sum(found @ prior * found, 1) / part[:, 0] ** 2
+        )
+        gained = -lost - np.linalg.slogdet(total)[1] - 2 * (len(seen) - 1) * np.log(part[:, 0])
+        best = int(np.argmax(gained))
+        return np.exp(found[best]), 2.0 / np.diag(covariance[best])
 
     def scores(self, inverse: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the covariance of the score by octave, (o, p, p), and its degrees of freedom, (o,).
@@ -190,12 +195,19 @@ def _by_octave(
     for first, last in pairwise(cuts):
         n = int(lengths[first])
         here = columns[..., batch.edges[first] : batch.edges[last]].reshape(c, K, last - first, n)
-        octave = np.log2(2 * n / np.maximum(np.arange(n), 0.5)).astype(int)
-        ends = np.append(np.flatnonzero(np.diff(octave, prepend=-1)), n)
+        octave, ends = _octaves_of(n)
         waves = dct(here, norm="ortho").transpose(2, 1, 0, 3)
-        own = (waves[..., a:b] for a, b in pairwise(ends.tolist()))
+        own = (waves[..., a:b] for a, b in pairwise(ends))
         products = np.stack([(part @ part.swapaxes(2, 3)).sum(axis=1) for part in own], axis=1)
-        yield batch.runs[first:last], octave[ends[:-1]], products, K * np.diff(ends).astype(float)
+        yield batch.runs[first:last], octave, products, K * np.diff(ends).astype(float)
+
+
+@cache
+def _octaves_of(n: int) -> tuple[np.ndarray, list[int]]:
+    """Return the octaves of n cosines, and where they begin among these, with the end of the last."""
+    octave = np.log2(2 * n / np.maximum(np.arange(n), 0.5)).astype(int)
+    first = np.flatnonzero(np.diff(octave, prepend=-1))
+    return octave[first], [*first.tolist(), n]
 
 
 @dataclass(frozen=True, eq=False)
