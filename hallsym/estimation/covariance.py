@@ -87,7 +87,7 @@ class Octaves:
         def eliminated(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
             whole = sum(products.sum(axis=1) for _, products, _ in parts)
             follow = eliminate(whole, offsets)[1]
-            rest = np.broadcast_to(np.eye(follow.shape[2]), (len(follow), *2 * follow.shape[2:]))
+            rest = np.tile(np.eye(follow.shape[2]), (len(follow), 1, 1))
             along = np.concatenate([follow, rest], axis=1)[:, None]
             own = pseudo_inverse(whole[:, :offsets, :offsets])
             for octave, products, values in parts:
@@ -159,10 +159,8 @@ class Octaves:
         for _ in range(STEPS):  # Fisher's scoring
             score = weight * (np.minimum(power * np.exp(-found), 2.0) - 1.0) - found @ prior / part**2
             found = found + (covariance @ score[:, :, None])[:, :, 0]
-        lost = (
-            2 * (found + power * np.exp(-found)) @ weight + np.sum(found @ prior * found, 1) / part[:, 0] ** 2
-        )
-        gained = -lost - np.linalg.slogdet(total)[1] - 2 * (len(seen) - 1) * np.log(part[:, 0])
+        lost = np.sum(found @ prior * found / part**2, axis=1) + 2 * (found + power * np.exp(-found)) @ weight
+        gained = -lost - np.linalg.slogdet(total)[1] - 2 * (len(seen) - 1) * np.log(PARTS)
         best = int(np.argmax(gained))
         return np.exp(found[best]), 2.0 / np.diag(covariance[best])
 
@@ -342,11 +340,6 @@ class Uncertainty:
     degrees_of_freedom: np.ndarray
     goodness: GoodnessOfFit
     fitted: int
-
-    @property
-    def cost_per_dof(self) -> float:
-        """Cost per degree of freedom."""
-        return self.goodness.cost_per_degree_of_freedom
 
 
 @dataclass(frozen=True, eq=False)

@@ -215,7 +215,9 @@ def summarised(
         counts=counts[:, 0].copy(),
         first_state=np.array(first_state),
         mean_state=state / np.maximum(counts, 1e-300),
-        places=tuple(map(_thinned, places)) if model.typical else (),
+        places=tuple(
+            v[:, :: -(-v.shape[1] // MOST_PLACES)] for v in map(np.hstack, places if model.typical else ())
+        ),
     )
 
 
@@ -243,7 +245,9 @@ def _blocks(
         columns *= weights
     triangles = [_triangle(columns[:, part].T) for _, part in batch.parts()]
     weight = np.ones(len(batch)) if weights is None else weights
-    pick, edges = _sparse(batch)
+    sizes = ((at, at.stop - at.start) for _, at in batch.parts())
+    picks = [np.arange(at.start, at.stop, -(-size // SLOPE_SAMPLES)) for at, size in sizes]
+    pick, edges = np.concatenate(picks), np.cumsum([0, *map(len, picks)]).tolist()
     there = at if at.ndim == 1 else at[:, pick]
     slopes = features.slopes([v[pick] for v in pose], [v[pick] for v in state], there)[0]
     slopes *= weight[pick]
@@ -270,19 +274,6 @@ def _products(slopes: np.ndarray, features: Features, edges: Sequence[int]) -> n
     slopes = slopes.reshape(-1, features.size, slopes.shape[1])
     every = (np.swapaxes(slopes[:, :, a:b], 0, 1).reshape(features.size, -1) for a, b in pairwise(edges))
     return np.array([(own @ own.T).ravel() for own in every])
-
-
-def _sparse(batch: Batch) -> tuple[np.ndarray, list[int]]:
-    """Every so many samples of each block, and where the blocks begin among them."""
-    picks = [
-        np.arange(at.start, at.stop, -(-(at.stop - at.start) // SLOPE_SAMPLES)) for _, at in batch.parts()
-    ]
-    return np.concatenate(picks), np.cumsum([0, *map(len, picks)]).tolist()
-
-
-def _thinned(parts: list[np.ndarray]) -> np.ndarray:
-    places = np.hstack(parts)
-    return places[:, :: -(-places.shape[1] // MOST_PLACES)]
 
 
 def _triangle(rows: np.ndarray) -> np.ndarray:

@@ -235,7 +235,8 @@ def _whole(
     counts = np.array([fit.log.rows for fit in fits], dtype=float)
     floors = np.array([list(fit.noise_floor.values()) for fit in fits])
     floor = np.sqrt(counts / counts.sum() @ floors**2)
-    solver = structs.replace(last.solver, cost_per_degree_of_freedom=estimate.cost_per_dof, lower_bound=bound)
+    cost = estimate.goodness.cost_per_degree_of_freedom
+    solver = structs.replace(last.solver, cost_per_degree_of_freedom=cost, lower_bound=bound)
     worst = max(fits, key=lambda fit: fit.goodness.residual_over_noise if fit.goodness else 0.0)
     limits = max((fit.goodness for fit in fits if fit.goodness), key=lambda each: each.limit)
     goodness = replace(

@@ -452,7 +452,7 @@ def fit_of(
             name=task.asked.solver,
             loss=task.asked.loss,
             cost=state.search.cost,
-            cost_per_degree_of_freedom=estimate.cost_per_dof,
+            cost_per_degree_of_freedom=estimate.goodness.cost_per_degree_of_freedom,
             evaluations=state.search.evaluations,
             starts=state.search.starts,
             share_at_optimum=state.search.share,

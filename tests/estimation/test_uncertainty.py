@@ -28,7 +28,7 @@ def test_white_noise_of_the_stated_size_is_believed():
     _, found = one(1)
     assert found.method == "likelihood"
     assert "scores of the 57 runs" in found.reason
-    assert found.cost_per_dof == pytest.approx(1.0, abs=4 * np.sqrt(2 / (57 * 49 * 3)))
+    assert found.goodness.cost_per_degree_of_freedom == pytest.approx(1.0, abs=4 * np.sqrt(2 / (57 * 49 * 3)))
     assert found.at_bound == ()
     determined = dict(zip(MODEL.names, found.determined, strict=True))
     assert [n for n, ok in determined.items() if not ok] == ["H1x", "H1y", "H2x", "H2y", "H3x", "H3y"]

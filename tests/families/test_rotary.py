@@ -161,7 +161,7 @@ def test_noise_of_the_reference_is_tangential(sigma, reference):
     fit = hallsym.fit(ellipse_log(1, sigma, reference)[0], "rotary_ideal", solver="direct", loss="none")
     found = uncertainty(fit.likelihood.at(fit.values), fit.determination)  # for white noise
     std = dict(zip(fit.model.names, found.covariance.diagonal() ** 0.5, strict=True))
-    scale = np.sqrt(max(found.cost_per_dof, 1.0)) if "scaled" in found.method else 1.0
+    scale = np.sqrt(max(found.goodness.cost_per_degree_of_freedom, 1.0)) if "scaled" in found.method else 1.0
     assert std["zero"] == pytest.approx(scale * np.hypot(sigma, reference) / np.sqrt(800), rel=0.03)
     assert std["A"] == pytest.approx(scale * sigma / np.sqrt(800), rel=0.03)
 
