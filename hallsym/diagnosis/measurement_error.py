@@ -99,8 +99,7 @@ def shared_noise(
         part = None if weights is None else weights[::every]
         thinned = [_thinned(b, every) for b in (up, down)]
         products = np.zeros((work.n + work.count, len(thinned[0])))
-        most = -(-work.most // 2)  # columns of both logs are in memory at once
-        for (moved, at), (still, _) in zip(*(b.pieces(most) for b in thinned), strict=True):
+        for (moved, at), (still, _) in zip(*(b.pieces(work.most) for b in thinned), strict=True):
             own_part = None if part is None else part[at]
             (near, rows), (near2, rows2) = (work.columns(piece, own_part) for piece in (moved, still))
             change = work.precision @ (near[-1] - near2[-1])

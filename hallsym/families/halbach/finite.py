@@ -6,7 +6,7 @@ Where a machine states length and width, what ends take is a polynomial of the p
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from itertools import product
 from math import pi
 from typing import Any
@@ -252,6 +252,13 @@ class Taken:
         """Return the same of places from another origin, `place` of the old one."""
         return Taken(*(replace(p, middle=p.middle + place) for p in (self.up, self.along, self.across)))
 
+    @cached_property
+    def seen(self) -> ca.Function:
+        """`(place, along, aside) -> reading` at a place (3,) of a sensor with these components of its axis."""
+        place, along, aside = ca.SX.sym("place", 3), ca.SX.sym("along"), ca.SX.sym("aside")
+        up, *across = (p(ca.vertsplit(place)) for p in (self.up, self.along, self.across))
+        return ca.Function("taken", [place, along, aside], [up + along * across[0] + aside * across[1]])
+
 
 Field = Callable[[np.ndarray], np.ndarray]
 """Places (n, m) -> what ends take there: away from the face, along the period, maybe across (2 or 3, m)."""
@@ -306,7 +313,7 @@ def _counting(c: np.ndarray, design: np.ndarray, leaves: float) -> np.ndarray:
 
 
 @cache
-def along(layout: Layout, turn: int = 1) -> tuple[Taken, ...] | None:
+def along(layout: Layout, turn: int) -> tuple[Taken, ...] | None:
     """Return what the ends of the only array take at each channel, over x and gap [m].
 
     At an amplitude of 1, with its middle where the layout says; `turn`: -1 where the mover is turned half
@@ -346,7 +353,7 @@ def across_of(array: Array, sensor: Sensor, turn: int = 1) -> tuple[float, ...]:
 
 
 @cache
-def under(layout: Layout, turn: int = 1) -> tuple[Taken, ...] | None:
+def under(layout: Layout, turn: int) -> tuple[Taken, ...] | None:
     """Return what ends of all arrays take at each channel, over its place in its array and gap [m].
 
     Places are along and across the array, at an amplitude of 1. `turn`: -1 where the mover is turned half

@@ -375,7 +375,7 @@ def _settled(layout: Layout, meta: Meta) -> Layout:
             return (*sensors(layout), array.stated)
         array = _middle((*sensors(layout), array), log, (array.middle_magnet,) if stated else None)
     layout = (*sensors(layout), array)
-    return layout if finite.along(layout) else (*sensors(layout), array.stated)
+    return layout if finite.along(layout, 1) else (*sensors(layout), array.stated)
 
 
 def travel(wave: float, at: np.ndarray) -> tuple[float, ...]:
@@ -416,7 +416,7 @@ def _middle(layout: Layout, log: np.ndarray, among: Sequence[int] | None) -> Arr
     for magnet in range(2 * array.magnets_per_period) if among is None else among:
         turned = np.angle(np.exp(1j * (magnet * half - np.angle(first) - q * array.middle)))
         own = replace(array, middle_magnet=magnet, middle_m=array.middle_m + float(turned) / q)
-        known = finite.along((*sensors(layout), own))
+        known = finite.along((*sensors(layout), own), 1)
         if known is None:
             continue
         taken = abs(first) * np.array([one.up((x, z)) for one in known]).T

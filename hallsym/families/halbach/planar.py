@@ -177,8 +177,7 @@ def taken_at(s: Signals, layout: Layout, k: int) -> ca.SX:
     taken = (finite.under(layout, turn) or ())[k]
     there = [e for e, place in zip(seen, sensor.positions, strict=True) if np.allclose(place, sensor.middle)]
     e = links.middle(there or seen)
-    at = e.u, e.across, e.height
-    return taken.up(at) + e.along * taken.along(at) + e.aside * taken.across(at)
+    return taken.seen(ca.vertcat(e.u, e.across, e.height), e.along, e.aside)
 
 
 def harmonic(s: Signals, k: int, h: int, a: ca.SX, b: ca.SX) -> ca.SX:
@@ -446,7 +445,7 @@ def _settled(layout: Layout, meta: Meta) -> Layout:
         known = {n: replace(a, known_m=travel(a.wavelength_m, at)) for n, a in known.items()}
     layout = (*seen, *known.values())
     felt = not any(map(finite.beyond, known.values()))
-    return layout if felt and finite.under(layout) else (*seen, *(a.stated for a in known.values()))
+    return layout if felt and finite.under(layout, 1) else (*seen, *(a.stated for a in known.values()))
 
 
 def _amplitude(array: Array, nominal: Mapping[str, float]) -> float:
