@@ -13,6 +13,7 @@ reading of a cos + b sin of harmonic h.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import casadi as ca
 
@@ -92,9 +93,16 @@ class Seen:
     across: ca.SX | float = 0.0
     aside: ca.SX | float = 0.0
 
+    @cached_property
+    def fields(self) -> dict[ca.Function, ca.SX]:
+        """What the element reads of fields, by their function: effects of one field share its expressions."""
+        return {}
+
 
 def middle(elements: Sequence[Seen]) -> Seen:
     """Return what is in the middle of elements under one array."""
+    if len(elements) == 1:
+        return elements[0]
     mean = {f.name: sum(getattr(e, f.name) for e in elements) / len(elements) for f in fields(Seen)[1:]}
     return Seen(elements[0].array, **mean)
 

@@ -68,9 +68,11 @@ def of_magnets(
         if not of:
             return none
         size = s["amplitude"] * np.exp(array.wavenumber * array.level_m) / filled(array, 1) / (2 * pi)
-        made = (ca.vertcat(*(part.get((array.name, i), none) for i in of)) for part in (shares, turns))
-        at = e.u - s["crest"], e.across, e.height, e.up, e.along
-        return size * _magnets(array, tuple(of))(*at, *made)
+        made = [part.get((array.name, i), none) for part in (shares, turns) for i in of]
+        single = _magnets(array, tuple(of))
+        if single not in e.fields:
+            e.fields[single] = single(e.u - s["crest"], e.across, e.height, e.up, e.along)
+        return size * ca.dot(e.fields[single], ca.vertcat(*made))
 
     rows = []
     for k, sensor in enumerate(sensors(model.layout)):
@@ -85,16 +87,17 @@ def of_magnets(
 
 @cache
 def _magnets(array: Array, which: tuple[int, ...]) -> ca.Function:
-    """`(u, across, height, up, along, shares, turns) -> field`; made once, it is called often."""
+    """`(u, across, height, up, along) -> fields` by the share of each magnet, then by its turn; made once."""
     u, across, height, up, along = at = [ca.SX.sym(n) for n in ("u", "across", "height", "up", "along")]
     span = range(which[0], which[-1] + 1)
     borders = [(i - 0.5) * array.wavelength_m / array.magnets_per_period for i in (*span, span.stop)]
     parts = dict(zip(span, single_magnets(array, u, across, height, borders, span), strict=True))
-    made, field = [ca.SX.sym(f, len(which)) for f in ("shares", "turns")], ca.SX(0)
-    for j, i in enumerate(which):
-        for size, (away, beside) in zip(made, parts[i], strict=True):
-            field += size[j] * (up * away + along * beside)
-    return ca.Function("magnets", [*at, *made], [field])
+    by = [
+        up * away + along * beside
+        for of in zip(*(parts[i] for i in which), strict=True)
+        for away, beside in of
+    ]
+    return ca.Function("magnets", at, [ca.vertcat(*by)])
 
 
 COMMON = (
