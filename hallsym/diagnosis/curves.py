@@ -44,9 +44,9 @@ RIDGE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """Coefficients of n features: `all` (n,), and `left_out` (U, n) without each group.
+    """Coefficients of n features: `all` (..., n), and `left_out` (U, ..., n) without each group.
 
-    `squares`: (U,) decrease of each group's squares by the coefficients that the other groups give.
+    `squares`: (U, ...) decrease of each group's squares by the coefficients that the other groups give.
     """
 
     all: np.ndarray
@@ -59,25 +59,26 @@ def regression(
 ) -> Regression:
     """Solve penalised least squares from the products of U groups.
 
-    `gram`: (U, n, n) of the features, `cross`: (U, n) of features and target, `penalty`: (n, n).
-    `rest`: `others(gram)`, where it is known.
+    `gram`: (U, ..., n, n) of the features, `cross`: (U, ..., n) of features and target, `penalty`:
+    (..., n, n). `rest`: `others(gram)`, where it is known.
     """
     total, targets = gram.sum(axis=0), cross.sum(axis=0)
     d = lengths(total + penalty)
-    scale = np.outer(d, d)
+    scale = d[..., :, None] * d[..., None, :]
 
     def solved(A: np.ndarray, b: np.ndarray) -> np.ndarray:
         return np.asarray(np.linalg.solve((A + penalty) / scale, (b / d)[..., None])[..., 0] / d)
 
     left = solved(others(gram) if rest is None else rest, others(cross))
-    squares = (left * (2 * cross - np.einsum("uij,uj->ui", gram, left))).sum(axis=1)
+    squares = (left * (2 * cross - (gram @ left[..., None])[..., 0])).sum(axis=-1)
     return Regression(solved(total, targets), left, squares)
 
 
 def lengths(gram: np.ndarray) -> np.ndarray:
-    """Return the lengths (n,) of columns, to scale them by; infinite for a column that never moves."""
-    length = np.sqrt(np.maximum(np.diag(gram), 0.0))  # differences of sums may round below 0
-    return np.maximum(length, NIL * max(length.max(initial=0.0), 1e-140))
+    """Return the lengths (..., n) of columns, to scale them by; infinite for a column that never moves."""
+    square = np.diagonal(gram, axis1=-2, axis2=-1)
+    length = np.sqrt(np.maximum(square, 0.0))  # differences of sums may round below 0
+    return np.maximum(length, NIL * length.max(axis=-1, keepdims=True, initial=1e-140))
 
 
 def ridge(gram: np.ndarray) -> np.ndarray:
@@ -289,14 +290,13 @@ class Smooth:
         self.at = knots(self.values) if c.ordered else np.asarray(free)
         self.folds, self.blocks = slices(r.fold), slices(r.block)
         self.own = 1 / r.variance
-        self.products: tuple[np.ndarray, list[np.ndarray]] | None = None
+        self.products: tuple[np.ndarray, np.ndarray] | None = None
 
-    def _products(self, phi: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Return the products of features by sensor and fold, and those of all other folds."""
-        grams = self.own[:, None, None, None] * np.array(
-            [[own[:, s] @ own[:, s].T for s in self.folds] for own in phi]
-        )
-        return grams, [others(gram) for gram in grams]
+    def _products(self, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the products of features by fold and sensor, and those of all other folds."""
+        parts = (phi[:, :, s] for s in self.folds)
+        grams = self.own[:, None, None] * np.array([own @ own.swapaxes(1, 2) for own in parts])
+        return grams, others(grams)
 
     def _features(self, r: ResidualTable, x: np.ndarray) -> np.ndarray:
         """Return the features of some samples where the coordinate has the values `x`, (K, features, n)."""
@@ -333,27 +333,21 @@ class Smooth:
         r = self.r
         phi = self._features(r, self.values)  # not kept: of all coordinates together they fill the memory
         grams, rests = self.products = self.products or self._products(phi)
-        level = level_weights(r, residual, r.block)[:, None]
         targets, scores = (
-            [sums(own * row, group).T for own, row in zip(phi, rows, strict=True)]
+            np.array([sums(own * row, group).T for own, row in zip(phi, rows, strict=True)])
             for rows, group in ((self.own[:, None] * residual, r.fold), (r.precision @ residual, r.block))
         )
-        out = []
+        scores *= level_weights(r, residual, r.block)[:, None]
+        total, n, out = grams.sum(axis=0), len(self.blocks), list[Curve]()
         for bend in BENDS if self.coordinate.ordered else BENDS[:1]:
-            q = np.zeros((len(self.blocks),) * 2)
-            each = []
-            for gram, rest, target, of_blocks in zip(grams, rests, targets, scores, strict=True):
-                penalty = _penalty(np.diag(gram.sum(axis=0)), len(self.at), bend)
-                each.append(regression(gram, target, penalty, rest))
-                own = level * of_blocks
-                q += own @ np.linalg.solve(gram.sum(axis=0) + penalty, own.T)
-            left = np.stack([fit.left_out for fit in each], axis=1)
-            beta = np.array([fit.all for fit in each])
-            parts = zip(left, self.folds, strict=True)
+            penalty = _penalty(np.diagonal(total, axis1=1, axis2=2), len(self.at), bend)
+            found = regression(grams, targets.swapaxes(0, 1), penalty, rests)
+            q = np.hstack([*scores]) @ np.linalg.solve(total + penalty, scores.swapaxes(1, 2)).reshape(-1, n)
+            parts = zip(found.left_out, self.folds, strict=True)
             predicted = np.hstack([(own[:, None] @ phi[:, :, s])[:, 0] for own, s in parts])
             explained = float((predicted * (r.precision @ (2 * residual - predicted))).sum())
             statistic = of_products(q, r.run_of(r.block), r.base.policy)
-            out.append(Curve(self, beta, left, predicted, explained, statistic))
+            out.append(Curve(self, found.all, found.left_out, predicted, explained, statistic))
         return out
 
 
@@ -469,11 +463,13 @@ def _by_sensor(x: np.ndarray, r: ResidualTable) -> np.ndarray:
 def _penalty(size: np.ndarray, m: int, bend: float) -> np.ndarray:
     """Penalty on the second differences of each curve over m knots, and a trace of one on their size.
 
-    `size`: (curves * m,) squares of the features.
+    `size`: (K, curves * m) squares of the features; the penalty is (K, curves * m, curves * m).
     """
-    D = np.diff(np.eye(m), 2, axis=0)
-    weight = np.maximum(size.reshape(-1, m).mean(axis=1), 1e-300)
-    return np.kron(np.diag(weight), bend * D.T @ D + RIDGE * np.eye(m))
+    D, (K, n) = np.diff(np.eye(m), 2, axis=0), size.shape
+    weight = np.maximum(size.reshape(K, -1, m).mean(axis=2, keepdims=True), 1e-300)
+    each = weight[..., None] * np.eye(n // m)[:, :, None]  # (K, curves, curves, 1)
+    each = each[:, :, None] * (bend * D.T @ D + RIDGE * np.eye(m))[:, None]
+    return np.asarray(each.reshape(K, n, n))
 
 
 # -- lack of fit ---------------------------------------------------------------------------------------------

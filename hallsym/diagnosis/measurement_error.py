@@ -99,13 +99,16 @@ def shared_noise(
         part = None if weights is None else weights[::every]
         thinned = [_thinned(b, every) for b in (up, down)]
         products = np.zeros((work.n + work.count, len(thinned[0])))
-        for (moved, at), (still, _) in zip(*(b.pieces(work.most) for b in thinned), strict=True):
-            own_part = None if part is None else part[at]
-            (near, rows), (near2, rows2) = (work.columns(piece, own_part) for piece in (moved, still))
-            change = work.precision @ (near[-1] - near2[-1])
-            products[: work.n, at] = np.einsum("cks,ks->cs", near[work.z : own] - near2[work.z : own], change)
+        most = -(-work.most // 2)  # both logs are side by side in one batch
+        for (moved, at), (still, _) in zip(*(b.pieces(most) for b in thinned), strict=True):
+            n, data = len(moved), {c: np.append(v, still.data[c]) for c, v in moved.data.items()}
+            both = Batch(moved.runs * 2, data, (*moved.edges, *(n + edge for edge in still.edges[1:])))
+            columns = work.columns(both, None if part is None else np.tile(part[at], 2))
+            near, rows = (values[..., :n] - values[..., n:] for values in columns)
+            change = work.precision @ near[-1]
+            products[: work.n, at] = np.einsum("cks,ks->cs", near[work.z : own], change)
             for k, of in enumerate(work.of_channel):  # a column has one row a channel
-                products[work.n + column[of], at] += (rows[of] - rows2[of]) * change[k]
+                products[work.n + column[of], at] += rows[of] * change[k]
         cut, keys = stretches(up, seen, length)
         edges = -(-np.array(cut.edges) // every)
         low, high = (np.minimum(at, products.shape[1] - k) for at, k in ((edges[:-1], 1), (edges[1:], 0)))

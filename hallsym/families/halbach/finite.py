@@ -254,10 +254,10 @@ class Taken:
 
     @cached_property
     def seen(self) -> ca.Function:
-        """`(place, along, aside) -> reading` at a place (3,) of a sensor with these components of its axis."""
+        """`(place, along, aside) -> reading`: at a place (3,), by components of the axis of the sensor."""
         place, along, aside = ca.SX.sym("place", 3), ca.SX.sym("along"), ca.SX.sym("aside")
-        up, *across = (p(ca.vertsplit(place)) for p in (self.up, self.along, self.across))
-        return ca.Function("taken", [place, along, aside], [up + along * across[0] + aside * across[1]])
+        up, by_along, by_aside = (p(ca.vertsplit(place)) for p in (self.up, self.along, self.across))
+        return ca.Function("taken", [place, along, aside], [up + along * by_along + aside * by_aside])
 
 
 Field = Callable[[np.ndarray], np.ndarray]

@@ -94,7 +94,7 @@ class Seen:
     aside: ca.SX | float = 0.0
 
     @cached_property
-    def fields(self) -> dict[ca.Function, ca.SX]:
+    def known(self) -> dict[ca.Function, ca.SX]:
         """What the element reads of fields, by their function: effects of one field share its expressions."""
         return {}
 

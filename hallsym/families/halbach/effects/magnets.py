@@ -70,9 +70,9 @@ def of_magnets(
         size = s["amplitude"] * np.exp(array.wavenumber * array.level_m) / filled(array, 1) / (2 * pi)
         made = [part.get((array.name, i), none) for part in (shares, turns) for i in of]
         single = _magnets(array, tuple(of))
-        if single not in e.fields:
-            e.fields[single] = single(e.u - s["crest"], e.across, e.height, e.up, e.along)
-        return size * ca.dot(e.fields[single], ca.vertcat(*made))
+        if single not in e.known:
+            e.known[single] = single(e.u - s["crest"], e.across, e.height, e.up, e.along)
+        return size * ca.dot(e.known[single], ca.vertcat(*made))
 
     rows = []
     for k, sensor in enumerate(sensors(model.layout)):
