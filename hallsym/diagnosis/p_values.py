@@ -103,7 +103,11 @@ def drawn(units: int) -> np.ndarray:
 
 
 class SignFlips:
-    """The score of each unit, and its sum under random signs."""
+    """The score of each unit, and its sum under random signs.
+
+    `kept`: part of the explained squares that is not due to the references' noise, 0 to 1, of each candidate
+    whose statistic is known.
+    """
 
     def __init__(
         self,
@@ -120,7 +124,7 @@ class SignFlips:
         `noise`: (units, columns) products of columns and residual by the references' noise. `memories`: as in
         `clusters`. `joined`: whether noise continues from run to run, since runs have no offsets.
         """
-        self.units = t.units(runs)
+        self.units, self.kept = t.units(runs), dict[str, float]()
         self.t, self.own = t, t.span[""].stop
         n, M = self.own, t.likelihood[self.units]
         total = M.sum(axis=0)
@@ -163,21 +167,14 @@ class SignFlips:
             to_offsets = (self.offsets[:, :, columns] - self.offsets[:, :, :n] @ P) @ V
             of += np.einsum("gzk,guz->gku", np.tensordot(self.cluster, to_offsets, 1), self.offsets_left)
         rest = (self.cluster[:, None] * score.T - of).reshape(-1, len(score))
+        total, shared = M[:, :, -1].sum(axis=0), self.shared.sum(axis=0)
+        seen = (total[at] - P.T @ total[:n]) @ V
+        noise = (shared[columns] - P.T @ shared[:n]) @ V
+        self.kept[key] = float(min(((seen - noise) ** 2).sum() / max((seen**2).sum(), 1e-300), 1.0))
         signs = drawn(len(self.units))
         squares = ((signs @ score) ** 2).sum(axis=1)
         beside = ((signs @ (rest.T @ rest)) * signs).sum(axis=1)
         return standardised(squares / np.maximum(beside, NIL * (score**2).sum()))
-
-    def kept(self, key: str) -> float:
-        """Return the part of the explained squares that is not due to the references' noise, 0 to 1."""
-        found = self._effective(key)
-        if found is None:
-            return 0.0
-        n, (M, at, P, V) = self.own, found
-        total, shared = M[:, :, -1].sum(axis=0), self.shared.sum(axis=0)
-        seen = (total[at] - P.T @ total[:n]) @ V
-        noise = (shared[self._columns(key, at)] - P.T @ shared[:n]) @ V
-        return float(min(((seen - noise) ** 2).sum() / max((seen**2).sum(), 1e-300), 1.0))
 
     def _columns(self, key: str, at: np.ndarray) -> np.ndarray:
         """Return where columns `at` of a candidate's products lie among those of all candidates."""

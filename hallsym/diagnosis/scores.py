@@ -189,7 +189,7 @@ class Screen:
         out = []
         for s in self.scores:
             z0 = [float(z[0]) for z in drawn[s.key]] or [-np.inf]
-            kept = min((f.kept(s.key) for f in flips), default=1.0) if drawn[s.key] else 1.0
+            kept = min((f.kept[s.key] for f in flips), default=1.0) if drawn[s.key] else 1.0
             s = replace(s, kept=kept, ratio=1 - (1 - s.ratio) * kept, statistic=z0[0])
             if not s.absorbed and np.isfinite(peak):
                 by_noise = max(float(chdtrc(s.size, kept * s.gain / peak)), LEAST)
