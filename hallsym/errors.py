@@ -167,6 +167,12 @@ def listed(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
+def few(names: Sequence[str], most: int = 6) -> str:
+    """Return the first names, and how many more there are: no wall of names."""
+    more = f" and {len(names) - most} more" if len(names) > most + 1 else ""
+    return ", ".join(names[:most] if more else names) + more
+
+
 def counted(number: int, thing: str) -> str:
     """Return a count with its noun.
 

@@ -16,10 +16,9 @@ from hallsym.codegen.generation import sha256
 from hallsym.codegen.naming import PREFIX
 from hallsym.codegen.observer import Observer, observer_of
 from hallsym.codegen.templates import LICENSE
-from hallsym.errors import InputError, counted
+from hallsym.errors import InputError, counted, few
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.log import read_log
-from hallsym.report.results.shared import few
 
 EPILOG = """\
 examples:

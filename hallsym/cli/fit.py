@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.cli import INTERRUPTED, NOT_CONVERGED, NOT_DESCRIBED, NOT_DETERMINED, OK, common
-from hallsym.errors import InputError, counted
+from hallsym.errors import InputError, counted, few
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.fit import fit
 from hallsym.estimation.self_calibration import REFERENCES
@@ -24,7 +24,6 @@ from hallsym.families.machine_file import Machine, read_machine
 from hallsym.log import Log
 from hallsym.log.columns import read_runs
 from hallsym.model import Model
-from hallsym.report.results.shared import few
 
 EPILOG = """\
 examples:

@@ -33,7 +33,7 @@ from hallsym.cli.common import (
     say,
 )
 from hallsym.cli.trajectory import about_curve
-from hallsym.errors import InputError, counted
+from hallsym.errors import InputError, counted, few
 from hallsym.estimation import LOSSES, SOLVERS
 from hallsym.estimation.calibration import load_fit
 from hallsym.families import build, effects, family_called, models, recording
@@ -54,7 +54,6 @@ from hallsym.report.results.info import (
     model_content,
     model_record,
 )
-from hallsym.report.results.shared import few
 from hallsym.report.words import number
 from hallsym.simulation import read_campaign
 from hallsym.trajectory import is_curve, read_curve

@@ -10,13 +10,12 @@ from argparse import Namespace
 from pathlib import Path
 
 from hallsym.cli import NOT_DETERMINED, OK, common
-from hallsym.errors import InputError
+from hallsym.errors import InputError, few
 from hallsym.estimation import load_fit
 from hallsym.families import build
 from hallsym.families.machine_file import read_machine
 from hallsym.files import write_json
 from hallsym.inference import Identifiability, identify
-from hallsym.report.results.shared import few
 
 PAPER = "the paper's campaign"
 

@@ -5,12 +5,12 @@ from pathlib import Path
 from runpy import run_path
 from typing import Any
 
-from hallsym.errors import InputError, quoted, require, summary
+from hallsym.errors import InputError, few, quoted, require, summary
 from hallsym.families import halbach, rotary, stage
 from hallsym.families.faults import FAULTS
 from hallsym.files import MOST_NUMBER, regular
 from hallsym.log import Meta
-from hallsym.log.columns import is_moving, listed
+from hallsym.log.columns import is_moving
 from hallsym.log.phase import followed
 from hallsym.model import Effect, Family, Model
 from hallsym.model.effect import as_effect, read_text
@@ -75,7 +75,7 @@ def default_model(meta: Meta, log: str = "LOG") -> str:
         log = log.replace("'", '"')  # the command stands between the others
         kinds = " nor ".join(f"{f.about.partition(';')[0].rstrip(')')})" for f in FAMILIES)
         raise InputError(
-            f"The log's columns ({listed(meta.columns, 3)}) are neither {kinds}; map columns with "
+            f"The log's columns ({few(meta.columns, 3)}) are neither {kinds}; map columns with "
             f"--column FILE.toml ('hallsym info {log} --write' writes it), or name the model with --model."
         )
     fitting = (f for test in (Family.reads, Family.refers) for f in FAMILIES if test(f, meta.columns))

@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 from msgspec import structs
 
-from hallsym.errors import InputError, nearest, quoted, require
+from hallsym.errors import InputError, few, nearest, quoted, require
 from hallsym.files import MOST_NUMBER
 from hallsym.records import structured
 from hallsym.toml import Table
@@ -182,7 +182,7 @@ def bind(
         if foreign.name not in found:
             raise InputError(
                 f"{where} has no column '{foreign.name}' for {ours}{nearest(foreign.name, list(found))};"
-                f" it has {listed(found)}."
+                f" it has {few(found, 20) or 'no numeric columns'}."
             )
         unit, asked = stated.get(foreign.name), ours
         if ours != RUN and unit and split_unit(ours)[1] is None:
@@ -251,13 +251,6 @@ def still_missing(
 
 def _stem(column: str) -> str:
     return split_unit(column)[0]
-
-
-def listed(names: Sequence[str], most: int = 20) -> str:
-    """Return names as one short line."""
-    if not names:
-        return "no numeric columns"
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def _binding(

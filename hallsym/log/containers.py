@@ -14,9 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hallsym.errors import InputError, nearest, quoted
+from hallsym.errors import InputError, few, nearest, quoted
 from hallsym.log.arrow import source_of
-from hallsym.log.columns import listed
 from hallsym.log.groups import Group, GroupedSource
 from hallsym.log.table import Source, load
 from hallsym.log.text.cells import is_number
@@ -47,15 +46,15 @@ def one_of(where: str, kind: str, tables: Mapping[str, Source], chosen: str | No
     runs = max(same.values(), key=len)
     if len(runs) == 1 < len(filled):
         raise InputError(
-            f"{where} has {len(filled)} {kind}s with cells ({listed(list(filled))}): say which one holds the "
-            f"log with --sheet {quoted(runs[0])}."
+            f"{where} has {len(filled)} {kind}s with cells ({few(list(filled), 20)}): say which one holds "
+            f"the log with --sheet {quoted(runs[0])}."
         )
     found = filled[runs[0]]
     if len(runs) > 1:
         groups = [Group(name, filled[name]) for name in runs]
         found = GroupedSource(where, f"{kind}s", groups, {}, None, files=True)
     others = [name for name in tables if name not in runs]
-    left = (f"Of {where} {kind} {listed(others)} is not read.",) if others else ()
+    left = (f"Of {where} {kind} {few(others, 20)} is not read.",) if others else ()
     found.notes = (*found.notes, *left)
     return found
 

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hallsym.errors import InputError
+from hallsym.errors import InputError, few
 from hallsym.log.arrow import source_of
-from hallsym.log.columns import RUN, bind, listed
+from hallsym.log.columns import RUN, bind
 from hallsym.log.meta import Meta, Noise
 from hallsym.log.table import CHUNK_ROWS, Piece, Table, TableLike, View, exact, joined
 from hallsym.units import Array
@@ -148,9 +148,7 @@ class Log:
         wanted = self.columns if columns is None else tuple(columns)
         parts = [block.data for block in self.blocks(wanted) if block.run == run]
         if not parts:
-            raise InputError(
-                f"{self.name} has no run {run}; it has runs {listed([*map(str, self.runs)], 12)}."
-            )
+            raise InputError(f"{self.name} has no run {run}; it has runs {few([*map(str, self.runs)], 12)}.")
         return joined(parts, wanted)
 
     def array(self, column: str) -> Array:

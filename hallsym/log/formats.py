@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from msgspec import structs
 
-from hallsym.errors import InputError, nearest, quoted, require
+from hallsym.errors import InputError, few, nearest, quoted, require
 from hallsym.files import reading, regular
 from hallsym.log.arrow import source_of
 from hallsym.log.columns import (
@@ -22,7 +22,6 @@ from hallsym.log.columns import (
     Foreign,
     bind,
     counts_in_turn,
-    listed,
     read_column_file,
     still_missing,
 )
@@ -233,7 +232,7 @@ def read_log(
         words += "".join(f" --{name} {quoted(text)}" for name, text in source.read_with.items())
         words = words.replace("'", '"')  # the command stands between the others
         raise InputError(
-            f"{where} has no column whose name ends with a unit; it has {listed(source.names, 5)}; map them"
+            f"{where} has no column whose name ends with a unit; it has {few(source.names, 5)}; map them"
             f" with --column hall_a_um=ITS_NAME, or by 'hallsym info {words} --write'."
         )
     check_noise_keys(stated.noise, table.columns, "the column file")
@@ -386,7 +385,7 @@ def open_source(
         names = sorted(set(odd.channels) ^ set(groups[0].channels))
         raise InputError(
             f"Files of {where} must have the same columns to be runs; {odd.name} and {groups[0].name} differ"
-            f" in {listed(names, 4)}: name the files of one recording with --join."
+            f" in {few(names, 4)}: name the files of one recording with --join."
         )
     left_out = {name: why for g in groups for name, why in g.source.left_out.items()}
     source = GroupedSource(where, f"{len(files)} files", groups, left_out, clock, files=True)

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hallsym.errors import InputError, counted, nearest
+from hallsym.errors import InputError, counted, few, nearest
 from hallsym.log.columns import RUN, T, is_moving, is_time_word
 from hallsym.log.pace import Paced
 from hallsym.log.table import IN_MEMORY_ROWS, TIME, Source, exact
@@ -267,14 +267,12 @@ class GroupedSource(Source):
             g.channels = tuple(c for c in g.channels if c not in dropped)
 
     def _said(self, kind: str, groups: Sequence[Group]) -> str:
-        named = ", ".join(g.said() for g in groups[:SHOWN_GROUPS])
-        more = f" and {len(groups) - SHOWN_GROUPS} more" if len(groups) > SHOWN_GROUPS else ""
         if self.runs:
             counted_from_0 = any(number_of(g.name) != k for k, g in self.runs.items())
-            named = ", ".join(f"run {k} is {g.name}" for k, g in list(self.runs.items())[:SHOWN_GROUPS])
-            each = f"{named}{more}" if counted_from_0 else f"each as {self.master.said()}"
-            return f"{kind}: {len(self.runs)} runs, {each}"
-        text = f"{kind}: {named}{more}"
+            named = few([f"run {k} is {g.name}" for k, g in self.runs.items()], SHOWN_GROUPS)
+            named = named if counted_from_0 else f"each as {self.master.said()}"
+            return f"{kind}: {len(self.runs)} runs, {named}"
+        text = f"{kind}: {few([g.said() for g in groups], SHOWN_GROUPS)}"
         if not self.others:
             return text
         begin, end = self._shared()

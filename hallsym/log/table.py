@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError, nearest
-from hallsym.log.columns import RUN, Binding, Foreign, has_meaning, listed
+from hallsym.errors import InputError, few, nearest
+from hallsym.log.columns import RUN, Binding, Foreign, has_meaning
 from hallsym.log.text.cells import is_number
 from hallsym.units import Array, split_unit
 
@@ -235,10 +235,10 @@ class Table:
                 )
             sure = has_meaning(name)  # then no other column of a kind is meant for it
             others = [c for c in self.columns if not (sure and has_meaning(c))]
+            has = few(self.source.names, 20) or "no numeric columns"
             raise InputError(
-                f"{self.where} has no column {name}{nearest(name, others)}; it has"
-                f" {listed(self.source.names)}; a column under another name is mapped with"
-                f" --column {name}=ITS_NAME, where the ending is the unit it is in."
+                f"{self.where} has no column {name}{nearest(name, others)}; it has {has}; a column under "
+                f"another name is mapped with --column {name}=ITS_NAME: the ending is the unit it is in."
             )
 
     @property

@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError, nearest
+from hallsym.errors import InputError, few, nearest
 from hallsym.log import Foreign, Log, read_log
-from hallsym.log.columns import listed
 from hallsym.units import Array, si_unit
 
 SENSOR = "sensor"
@@ -67,7 +66,7 @@ def read_readings(
     if name not in source.names:
         raise InputError(
             f"{log.name} has no column '{name}' that names the sensor{nearest(name, list(source.names))}; it"
-            f" has {listed(source.names)}; map it with --column {SENSOR}=ITS_NAME."
+            f" has {few(source.names, 20)}; map it with --column {SENSOR}=ITS_NAME."
         )
     return replace(_arranged(log, source.labels(name), fields), notes=source.notes)
 
@@ -132,7 +131,7 @@ def _only(log: Log, stem: str, si: str = "", *, needed: bool = True) -> Any:
         raise InputError(f"{log.name} must have one column such as {wanted}; it has {', '.join(found)}.")
     if not found and needed:
         raise InputError(
-            f"{log.name} has no column {wanted}; it has {listed(log.table.source.names)}; map it with"
+            f"{log.name} has no column {wanted}; it has {few(log.table.source.names, 20)}; map it with"
             f" --column {wanted}=ITS_NAME, where the ending is its unit."
         )
     return found[0] if found else None

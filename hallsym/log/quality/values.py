@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hallsym.errors import counted
+from hallsym.errors import counted, few
 from hallsym.log.columns import is_moving, is_reading, is_reference, run_list
 from hallsym.log.core import Drop, Log
 from hallsym.log.quality.findings import STUCK, Fault, Finding, others, the
@@ -195,10 +195,9 @@ def _pasted(log: Log, same: Pairs, spans: Spans) -> Finding:
         whole = all(name in c or spans.rests(name)[later] for name in measured)
         wrong |= set(pair[1:] if whole else pair)
     (first, run), names = next(iter(same.items()))
-    shown = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
     subject, verb = ("Columns", "hold") if len(names) > 1 else ("Column", "holds")
     text = (
-        f"{subject} {shown} of {log.short_name} {verb} the same samples in runs {first} and {run}"
+        f"{subject} {few(names, 3)} of {log.short_name} {verb} the same samples in runs {first} and {run}"
         f"{others(same, 'more pair')}"
     )
     correction = f"copied_run in {run_list([*wrong])}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hallsym.errors import counted
+from hallsym.errors import counted, few
 from hallsym.estimation import Evaluation
 from hallsym.estimation.calibration import rmse_interval
 from hallsym.inference import Belonging, ParameterChange
@@ -63,7 +63,7 @@ def belonging_blocks(found: Belonging) -> list[Block | str]:
         blocks.append(changes_table(found.changes))
     for why in dict.fromkeys(found.not_identified.values()):
         names = [name for name, said in found.not_identified.items() if said == why]
-        blocks.append(f"not compared, {why}: {shared.few(names)}")
+        blocks.append(f"not compared, {why}: {few(names)}")
     return blocks
 
 

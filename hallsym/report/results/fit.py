@@ -6,7 +6,7 @@ import shlex
 from dataclasses import replace
 from typing import Any
 
-from hallsym.errors import InputError, counted
+from hallsym.errors import InputError, counted, few
 from hallsym.estimation import Fit, evaluate
 from hallsym.estimation.calibration import MANY, LogRecord, coverage_factor, rmse_interval
 from hallsym.estimation.decoding import ErrorTable
@@ -117,7 +117,7 @@ def circumstances(fit: Fit) -> list[str]:
         size = f"{number(sigma.value * factor)} {unit}"
         by_source.setdefault(sigma.source, {}).setdefault(size, []).append(called)
     noise = "; ".join(
-        f"{source}: {shared.few([f'{shared.few(names, 3)} {size}' for size, names in sizes.items()], 12)}"
+        f"{source}: {few([f'{few(names, 3)} {size}' for size, names in sizes.items()], 12)}"
         for source, sizes in by_source.items()
     )
     return [
@@ -305,7 +305,7 @@ def _identifiable(fit: Fit) -> list[str]:
         known = f"; {counted(len(fit.combinations), 'combination')} of them are" if fit.combinations else ""
         said.append(f"{len(missing)} of {len(free)} free parameters are not identifiable {of}{known}.")
     if fit.at_bound:
-        said.append(f"At a bound: {shared.few(fit.at_bound)}.")
+        said.append(f"At a bound: {few(fit.at_bound)}.")
     return said
 
 

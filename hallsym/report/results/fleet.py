@@ -6,12 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from hallsym.errors import InputError, counted
+from hallsym.errors import InputError, counted, few
 from hallsym.fleets import Fleet, Spread
 from hallsym.fleets.row import VALUE, VERDICTS
 from hallsym.report import picture as p
 from hallsym.report.content import Block, Content, Section, Table
-from hallsym.report.results.shared import few
 from hallsym.report.tables import concise
 from hallsym.report.words import number
 from hallsym.units import parameter_unit

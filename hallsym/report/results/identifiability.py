@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError, counted
+from hallsym.errors import InputError, counted, few
 from hallsym.inference import (
     VERDICTS,
     Change,
@@ -20,7 +20,7 @@ from hallsym.inference import (
 from hallsym.model import Model
 from hallsym.report import picture as p
 from hallsym.report.content import Block, Content, Section, Table
-from hallsym.report.results.shared import NAMED, called, few
+from hallsym.report.results.shared import NAMED, called
 from hallsym.report.tables import attributes, cells, concise, heads, in_units
 from hallsym.report.words import minus, number
 from hallsym.units import parameter_unit
@@ -160,8 +160,7 @@ def further_table(report: Identifiability) -> Table:
         units = {n: parameter_unit(report[n].unit, bare=True) for n in f.determined}
         spans = {n: f"{number(s * units[n][0], 2)} {units[n][1]}".rstrip() for n, s in f.determined.items()}
         sized = [f"{n} ({span})" for n, span in spans.items()]
-        more = f" and {len(sized) - LISTED} more" if len(sized) > LISTED else ""
-        rows.append([f.recording, f"{f.rank} of {f.of}", ", ".join(sized[:LISTED]) + more or "nothing more"])
+        rows.append([f.recording, f"{f.rank} of {f.of}", few(sized, LISTED) or "nothing more"])
     return Table(head, rows, "what another recording would determine beside this one", wordy=(2,))
 
 

@@ -3,10 +3,9 @@
 from collections.abc import Sequence
 
 from hallsym.diagnosis import gap_text, gap_unit
-from hallsym.errors import counted
+from hallsym.errors import counted, few
 from hallsym.power import CurvePoint, DetectionPower, Findable, Trial
 from hallsym.report.content import Block, Content, Section, Table
-from hallsym.report.results.shared import few
 from hallsym.report.words import number
 from hallsym.units import parameter_unit
 

@@ -35,12 +35,6 @@ def numbers(runs: Sequence[int]) -> str:
     return ", ".join(f"{p[0]} to {p[-1]}" if len(p) > 2 else ", ".join(map(str, p)) for p in parts)
 
 
-def few(names: Sequence[str], most: int = 6) -> str:
-    """Return the first names, and how many more there are: no wall of names."""
-    more = f" and {len(names) - most} more" if len(names) > most + 1 else ""
-    return ", ".join(names[:most] if more else names) + more
-
-
 def called(path: object) -> str:
     """Return the last two parts of a log's path."""
     return "/".join(Path(str(path)).parts[-2:]) if path else "a log in memory"

@@ -4,11 +4,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hallsym.errors import counted
+from hallsym.errors import counted, few
 from hallsym.files import atomic_write
 from hallsym.output import csv_text, percent
 from hallsym.report.content import Block, Content, Section, Table
-from hallsym.report.results.shared import few
 from hallsym.report.tables import cells, heads
 from hallsym.report.words import number
 from hallsym.sorting import Matching, Sorting

@@ -5,11 +5,11 @@ from itertools import cycle
 
 import numpy as np
 
+from hallsym.errors import few
 from hallsym.output import percent
 from hallsym.records import named
 from hallsym.report import picture as p
 from hallsym.report.content import Block, Content, Section, Table
-from hallsym.report.results.shared import few
 from hallsym.report.tables import cells, heads
 from hallsym.report.words import each, largest, name, number, scale
 from hallsym.uncertainty import ErrorModel
