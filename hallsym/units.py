@@ -33,7 +33,7 @@ class Unit:
 _DEGREE = math.pi / 180
 _TABLE: tuple[tuple[str, str, float], ...] = (
     ("m", "m", 1.0), ("mm", "m", 1e-3), ("um", "m", 1e-6), ("nm", "m", 1e-9), ("cm", "m", 1e-2),
-    ("pm", "m", 1e-12), ("inch", "m", 0.0254),
+    ("pm", "m", 1e-12), ("inch", "m", 0.0254), ("mil", "m", 25.4e-6),
     ("rad", "rad", 1.0), ("mrad", "rad", 1e-3), ("urad", "rad", 1e-6), ("nrad", "rad", 1e-9),
     ("deg", "rad", _DEGREE), ("mdeg", "rad", _DEGREE / 1e3), ("arcmin", "rad", _DEGREE / 60),
     ("arcsec", "rad", _DEGREE / 3600),
@@ -41,7 +41,7 @@ _TABLE: tuple[tuple[str, str, float], ...] = (
     ("s", "s", 1.0), ("ms", "s", 1e-3), ("us", "s", 1e-6), ("ns", "s", 1e-9), ("min", "s", 60.0),
     ("v", "v", 1.0), ("mv", "v", 1e-3), ("uv", "v", 1e-6),
     ("a", "a", 1.0), ("ma", "a", 1e-3),
-    ("t", "t", 1.0), ("mt", "t", 1e-3), ("ut", "t", 1e-6),
+    ("t", "t", 1.0), ("mt", "t", 1e-3), ("ut", "t", 1e-6), ("gauss", "t", 1e-4),
     ("hz", "hz", 1.0), ("khz", "hz", 1e3),
     ("rad_s", "rad_s", 1.0), ("deg_s", "rad_s", _DEGREE), ("rpm", "rad_s", 2 * math.pi / 60),
     ("m_s", "m_s", 1.0), ("mm_s", "m_s", 1e-3),
@@ -51,6 +51,7 @@ UNITS: dict[str, Unit] = {name: Unit(name, si, factor) for name, si, factor in _
 UNITS["k"] = Unit("k", "degc", 1.0, -273.15)
 _SYMBOLS = {
     "v": "V", "mv": "mV", "uv": "uV", "a": "A", "ma": "mA", "t": "T", "mt": "mT", "ut": "uT", "hz": "Hz",
+    "gauss": "G",
     "khz": "kHz", "rad_s": "rad/s", "deg_s": "deg/s", "m_s": "m/s", "mm_s": "mm/s", "degc": "degC", "k": "K",
 }  # fmt: skip
 

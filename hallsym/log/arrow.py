@@ -57,7 +57,7 @@ class Timed(Source):
         return self.clocks[name]
 
 
-_CLOCK = r"(?P<hour>\d{1,2}):(?P<min>\d{2}):(?P<sec>\d{2}(?:[.,]\d{1,9}|:\d{3})?)"
+_CLOCK = r"(?:\d+ days?,? )?(?P<hour>\d{1,2}):(?P<min>\d{2}):(?P<sec>\d{2}(?:[.,]\d{1,9}|:\d{3})?)"
 _MINUTES = r"(?P<min>\d{1,2}):(?P<sec>\d{2}[.,]\d{1,9})"
 _ZONE = r"\s*(?P<zone>Z|[+-]\d{2}:?\d{2})"
 _DATES = (

@@ -423,15 +423,18 @@ def limit_of(column: str) -> Limit | None:
 
 _WORDS = {
     "°": "deg", "º": "deg", "degree": "deg", "degrees": "deg", "grad": "", "°c": "degc", "celsius": "degc",
-    "deg c": "degc", "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us", "micron": "um",
-    "microns": "um", "micrometer": "um", "micrometre": "um", "millimeter": "mm", "millimetre": "mm",
-    "meter": "m", "metre": "m", "volt": "v", "volts": "v", "ampere": "a", "amp": "a", "tesla": "t",
-    "vdc": "v", "v dc": "v", "volt dc": "v",
+    "deg c": "degc", "sec": "s", "msec": "ms", "usec": "us", "micron": "um", "microns": "um", "amp": "a",
+    "vdc": "v", "v dc": "v", "volt dc": "v", "gs": "gauss", "in": "inch", "inches": "inch", "mils": "mil",
     "kelvin": "k", "rad/s": "rad_s", "°/s": "deg_s", "deg/s": "deg_s", "1/min": "rpm", "u/min": "rpm",
     "min-1": "rpm", "r/min": "rpm", "m/s": "m_s", "mm/s": "mm_s", "counts": "count", "cts": "count",
     "inc": "count", "lsb": "count", "digit": "count", "digits": "count", '"': "arcsec", "″": "arcsec",
     "''": "arcsec", "arcseconds": "arcsec", "′": "arcmin", "arcminutes": "arcmin", "turn": "rev",
-    "turns": "rev", "umdr": "rev", "gon": "grad", "urad": "urad",
+    "turns": "rev", "umdr": "rev", "gon": "grad", "thou": "mil",
+    **{f"{prefix}{word}{end}": unit
+       for word, si in {"meter": "m", "metre": "m", "radian": "rad", "second": "s", "volt": "v",
+                        "ampere": "a", "tesla": "t"}.items()
+       for prefix, letter in {"": "", "centi": "c", "milli": "m", "micro": "u", "nano": "n"}.items()
+       for end in ("", "s") if (unit := letter + si) in UNITS},
 }  # fmt: skip
 _EXACT = {u.symbol: u.name for u in UNITS.values() if u.symbol != u.name == u.symbol.lower() != "degc"}
 """Units in which a capital letter is another size: mV is not MV."""

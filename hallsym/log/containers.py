@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import sqlite3
 import tempfile
 import zipfile
@@ -105,13 +104,9 @@ def unpacked(path: Path, suffixes: tuple[str, ...], written: int) -> Path:
         unpacked = tempfile.TemporaryDirectory(prefix="hallsym-")
         _UNPACKED.append(unpacked)
         folder = Path(unpacked.name) / path.name
-        for member in members:
-            target = folder / Path(member.filename).name if len(members) == 1 else folder / member.filename
-            if not target.resolve().is_relative_to(folder.resolve()):
-                raise InputError(f"Archive {quoted(path)} names a file outside itself; it is not unpacked.")
-            target.parent.mkdir(parents=True, exist_ok=True)
-            with archive.open(member) as source, target.open("wb") as copy:
-                shutil.copyfileobj(source, copy)
+        if len(members) == 1:
+            members[0].filename = Path(members[0].filename).name
+        archive.extractall(folder, members)  # which lets no name lead outside the folder
     return folder
 
 

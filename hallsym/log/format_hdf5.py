@@ -12,7 +12,7 @@ import numpy as np
 from hallsym.errors import quoted
 from hallsym.log.pace import pace_in
 from hallsym.log.table import Source, load
-from hallsym.log.vectors import Stored, arranged, unit_in, words_of
+from hallsym.log.vectors import Stored, arranged, unit_in, unpacked_by, words_of
 
 _KINDS = {b"char": np.dtype(object), b"cell": np.dtype(object), b"logical": np.dtype(bool)}
 """Types that MATLAB stores as numbers."""
@@ -28,6 +28,7 @@ def open_hdf5(path: Path, clock: str | None = None, kind: str = "HDF5", by: str 
                 node.shape, _KINDS.get(node.attrs.get("MATLAB_class", b""), node.dtype),
                 partial(_found, node.name), unit_in(node.attrs), pace_in(_stated(node)), _fault(node),
                 tuple(words for value in node.attrs.values() if (words := words_of(value))),
+                unpacked_by(node.attrs),
             )
             for name, node in _datasets(file, left_out, by).items()
             if node.shape is not None

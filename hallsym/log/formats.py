@@ -42,7 +42,7 @@ from hallsym.log.meta import Meta, Noise, check_noise_keys
 from hallsym.log.parted import by_clock, by_rows, by_signal, paced, side_by_side, stamped
 from hallsym.log.quality.check import clean_log
 from hallsym.log.table import Source, Table, about
-from hallsym.log.text.sniff import stated_delimiter
+from hallsym.log.text.sniff import PIECE, stated_delimiter
 from hallsym.units import Array, split_unit
 
 
@@ -100,6 +100,14 @@ def format_of(path: Path, name: str | None = None) -> Format:
         f"File {quoted(path)} cannot be read by its ending '{path.suffix}'{near}; give its --format, or"
         " export it as .csv: 'hallsym info --help' lists the endings."
     )
+
+
+def _recognised(file: Path, name: str | None) -> Format:
+    """Return the format of a file; text is a table of text, whatever ending an instrument gives it."""
+    with reading(file, "Log", "cannot be read"), open(file, "rb") as stream:
+        text = name is None and min(stream.read(PIECE), default=0) >= ord("\t")
+    other = any(file.suffix.lower() in e.suffixes for e in FORMATS if e.name in ("json", "table"))
+    return format_of(file, "csv" if text and not other else name)
 
 
 MOST_ROWS = 1_000_000_000
@@ -323,9 +331,9 @@ def natural(path: Path) -> list[tuple[int, str]]:
 
 
 def _open(file: Path, format: str | None, stated: Mapping[str, str | None]) -> Source:
-    entry = format_of(file, format)
     if file.stat().st_size == 0:
         raise InputError(f"Log {quoted(file)} is empty (0 bytes); record or copy it again.")
+    entry = _recognised(file, format)
     options = {name: text for name, text in stated.items() if text is not None}
     for name in options:
         if name not in entry.options:
@@ -400,8 +408,9 @@ def _resolve(wanted: Mapping[str, str | Foreign], source: Source) -> dict[str, F
     def own(name: str) -> str:
         if name in source.names or name in source.aliases:
             return source.aliases.get(name, name)
-        longer = [c for c in source.names if re.match(rf"{re.escape(name)}\W", c) or split_unit(c)[0] == name]
-        return longer[0] if len(longer) == 1 else name  # without the unit, as people say it
+        part = re.compile(rf"(?:.*\W)?{re.escape(name)}(?:\W.*)?")
+        longer = [c for c in source.names if part.fullmatch(c) or split_unit(c)[0] == name]
+        return longer[0] if len(longer) == 1 else name  # without unit and groups, as people say it
 
     entries = {ours: Foreign(e) if isinstance(e, str) else e for ours, e in wanted.items()}
     return {ours: structs.replace(e, name=own(e.name)) for ours, e in entries.items()}

@@ -102,9 +102,10 @@ def on_one_scale(groups: Sequence[Group]) -> bool:
 def places(groups: Sequence[Group], by: str = "/") -> tuple[dict[str, tuple[Group, str]], dict[str, str]]:
     """Name channels by themselves where that is unique, else `group/channel`; times that a format gives too.
 
-    `by`: between group and channel. Returns (name -> group and channel, long name -> name).
+    Columns of a matrix are named alike. `by`: between group and channel. Returns (name -> group and channel,
+    long name -> name).
     """
-    ends = Counter(channel for g in groups for channel in g.channels)
+    ends = Counter(stem for g in groups for stem in {*map(_stem, g.channels)})
     places: dict[str, tuple[Group, str]] = {}
     aliases: dict[str, str] = {}
     for g in groups:
@@ -112,7 +113,7 @@ def places(groups: Sequence[Group], by: str = "/") -> tuple[dict[str, tuple[Grou
             places[f"{g.name}{by}{T}" if T in ends else T] = g, TIME
         for channel in g.channels:
             long = f"{g.name}{by}{channel}" if g.name else channel
-            name = channel if ends[channel] == 1 else long
+            name = channel if ends[_stem(channel)] == 1 else long
             places[name] = g, channel
             if name != long:
                 aliases[long] = name
@@ -132,6 +133,11 @@ def runs(groups: Sequence[Group], named: bool = True) -> dict[int, Group]:
         numbers = [] if named else list(range(len(groups)))
     found = dict(zip(numbers, groups, strict=True)) if same and numbers else {}
     return {k: found[k] for k in sorted(found)}
+
+
+def _stem(name: str) -> str:
+    """Return the name of a matrix of which a channel is a column: `Data_0` is one of `Data`."""
+    return re.sub(r"_\d+$", "", name)
 
 
 def number_of(name: str) -> int:

@@ -153,10 +153,7 @@ def by_clock(source: Source, where: str) -> Source:
         rows = filled[clock][-1] + 1
         block = [n for n in source.names[start:stop] if n in data and np.isfinite(data[n][:rows]).any()]
         parts[f"block {k}"] = {names[name]: (name, data[name][:rows]) for name in block}
-    found = _parted(source, where, "blocks side by side", parts)
-    text = next((text for text, name in source.aliases.items() if name == first), first)
-    found.aliases = {**found.aliases, text.removesuffix(" 1"): names[first], same: names[first]}
-    return found
+    return _parted(source, where, "blocks side by side", parts)
 
 
 def _head(source: Source, count: int = _FEW) -> dict[str, tuple[str, ...]]:
@@ -245,10 +242,9 @@ def by_signal(source: Source, where: str) -> Source:
     seen = _pairs(head, keys)
     varying = [n for n in head if _pairs(head, [*keys, n]) > seen]
     numbers = [n for n in varying if n in free and n not in (*keys, *stamps)]
-    measured = {n for n in numbers if split_unit(n)[1]}  # beside a value: a record of several quantities
     numbers = [n for n in numbers if len(numbers) == 1 or any(map(VALUES.fullmatch, words[n]))]
     numbers = [n for n in numbers if (_steps(head[n]) % 1 != 0).any()] or numbers  # beside raw values
-    if len(numbers) != 1 or measured - {*numbers}:
+    if len(numbers) != 1:
         return source
     named = zip(*(source.labels(n) for n in head if n in keys), strict=True)
     labels, (value,) = np.array([" ".join(filter(None, row)) for row in named]), numbers
@@ -258,9 +254,6 @@ def by_signal(source: Source, where: str) -> Source:
         return source
     beside = {n: n if _is_clock(source, n) else T for n in stamps[:1]} | dict.fromkeys(runs, RUN)
     data, mine = source.read([*beside, value]), {label: labels == label for label in signals}
-    times = [data[stamps[0]][own] for own in mine.values()] if stamps else []
-    if times and max(map(np.min, times)) > min(map(np.max, times)):
-        return source  # devices one after the other
     cells = source.texts(of_units) if of_units and of_units not in varying else None
     units = {s: u for s, cell in zip(labels, cells or (), strict=False) if (u := unit_of(str(cell)))}
     called = [label if keys[0] in texts else f"{keys[0]} {label}" for label in signals]

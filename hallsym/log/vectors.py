@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.log.arrow import MOST_COLUMNS
+from hallsym.log.arrow import MOST_COLUMNS, Seconds, time_form
 from hallsym.log.columns import split_header, stems_of, unit_of
 from hallsym.log.groups import Group, GroupedSource
 from hallsym.log.pace import Pace, pace_in
-from hallsym.log.table import TIME, Source
+from hallsym.log.table import TIME, Source, load
 from hallsym.log.text.cells import is_unit_row
 from hallsym.units import UNITS, Array
 
@@ -30,6 +30,7 @@ class Stored(NamedTuple):
 
     `find` takes the opened file and a field, "" without one, and returns what indices of numpy read. `fault`:
     why it cannot be used. `texts`: lists of words that stand with it, as names of columns of a matrix do.
+    `unpacked`: makes values of what is stored, where the file states a scale.
     """
 
     shape: tuple[int, ...]
@@ -39,6 +40,7 @@ class Stored(NamedTuple):
     pace: Pace | None = None
     fault: str = ""
     texts: tuple[tuple[str, ...], ...] = ()
+    unpacked: Callable[[Array], Array] | None = None
 
 
 class Vector(NamedTuple):
@@ -106,6 +108,7 @@ def columns_of(path: str, array: Stored, field: str, by: str) -> tuple[dict[str,
         def read(file: Any, lo: int, hi: int) -> Array:
             index = tuple(slice(lo, hi) if n == axis else k for n in range(len(shape)))
             found = np.atleast_1d(array.find(file, field)[index if len(index) != 1 else index[0]])
+            found = array.unpacked(found) if array.unpacked else found
             return found.astype("M8[ns]").astype(np.int64) if kind == "M" else found
 
         return Vector(max(sizes), read, unit, array.pace, kind == "M")
@@ -171,6 +174,15 @@ def unit_in(attributes: Mapping[str, object]) -> str | None:
     return None
 
 
+def unpacked_by(attributes: Mapping[str, Any]) -> Callable[[Array], Array] | None:
+    """Return what makes values of stored numbers by the attributes of CF (section 8.1), None without them."""
+    scale, offset = (np.ravel(attributes.get(k, x))[0] for k, x in (("scale_factor", 1), ("add_offset", 0)))
+    lost = np.ravel(attributes.get("_FillValue", np.nan))[0]
+    if (scale, offset) == (1, 0):
+        return None
+    return lambda stored: np.where(stored == lost, np.nan, stored * float(scale) + float(offset))
+
+
 def runs_of(paths: Sequence[Sequence[str]]) -> int:
     """Return how many parts of each path name its run; 0 where groups are no runs.
 
@@ -184,6 +196,14 @@ def runs_of(paths: Sequence[Sequence[str]]) -> int:
         if numbered and len(runs) > 1 and len(set(map(frozenset, runs.values()))) == 1:
             return depth
     return 0
+
+
+def _moments(texts: Sequence[str], form: str) -> Stored:
+    """Return times that stand in a file as text of a form (`time_form`)."""
+    seconds = Seconds(form, "A column of times")
+    from_first = seconds(load("pyarrow").array(texts))
+    found = (np.round(from_first * 1e9).astype(np.int64) + (seconds.moment or 0)).astype("M8[ns]")
+    return Stored(found.shape, found.dtype, lambda file, field: found)
 
 
 def _by_run(path: str, array: Stored, by: str) -> Iterator[tuple[str, Stored]]:
@@ -212,9 +232,10 @@ def arranged(
     arrays = {under: one for path, array in arrays.items() for under, one in _by_run(path, array, by)}
     matrices = {p.split(by)[-1]: a for p, a in arrays.items() if a.dtype.kind in "fiu" and len(a.shape) == 2}
     widths = [min(matrix.shape) for matrix in matrices.values()]  # once where each run has it
-    short = [a for a in arrays.values() if a.dtype.kind in "SUO" and 1 < math.prod(a.shape) <= MOST_COLUMNS]
     with opened() as file:
-        texts = [words for array in short if (words := words_of(array.find(file, "")[()]))]
+        words = {p: words_of(a.find(file, "")[()]) for p, a in arrays.items() if a.dtype.kind in "SUO"}
+    texts = [own for own in words.values() if 1 < len(own) <= MOST_COLUMNS]
+    arrays |= {path: _moments(own, form) for path, own in words.items() if (form := time_form(own))}
     arrays = {
         path: array._replace(texts=(*array.texts, *(t for t in texts if widths.count(len(t)) == 1)))
         for path, array in arrays.items()

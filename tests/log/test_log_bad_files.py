@@ -43,13 +43,17 @@ def test_truncated_file(tmp_path: Path, suffix: str, kind: str, keep: float) -> 
 
 def test_unknown_suffix_and_format(tmp_path: Path) -> None:
     path = tmp_path / "log.xyz"
-    path.write_text("x_ref_m\n1\n")
-    (tmp_path / "log.parqet").touch()
+    path.write_bytes(b"\0\1")
+    (tmp_path / "log.parqet").write_bytes(b"\0\1")
     refused(path, r"cannot be read by its ending '.xyz'.*--format.*'hallsym info --help' lists")
     refused(tmp_path / "log.parqet", r"ending '.parqet' \(did you mean '.parquet'\?\)")
     with pytest.raises(InputError, match=r"Format must be one of.*did you mean 'csv'"):
         read_log(path, format="cvs")
+    path.write_text("x_ref_m\n1\n")
+    assert read_log(path).rows == 1
     assert read_log(path, format="csv").rows == 1
+    path.rename(tmp_path / "log.xls")
+    assert read_log(tmp_path / "log.xls").rows == 1
 
 
 @pytest.mark.parametrize(
@@ -155,7 +159,7 @@ def test_bad_meta(tmp_path: Path, text: str, says: str) -> None:
 )
 def test_missing_extra_says_what_to_install(tmp_path: Path, suffix: str, library: str, extra: str) -> None:
     path = tmp_path / f"log{suffix}"
-    path.write_bytes(b"something")
+    path.write_bytes(b"something\0")
     with hidden([library], tmp_path), pytest.raises(InputError, match=rf"'hallsym\[{extra}\]'\.") as caught:
         read_log(path)
     assert one_sentence(str(caught.value))

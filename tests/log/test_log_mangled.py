@@ -204,6 +204,7 @@ COUNTED = [f"{k};{k},5" for k in range(30)]
         (["t_s,x_ref_um"], [f'{k},"{k},5"' for k in range(30)]),
         (['"t_s" ; "x_ref_um"'], [f'"{k}" ; "{k},5"' for k in range(30)]),
         (["t_s;x_ref_mm"], [f"{k};0,{k:03d}5" for k in range(30)]),
+        (["# fs: 1 Hz", "# Columns: z x_ref", "# Units: mil um"], [f"{k} {k}.5" for k in range(30)]),
     ],
 )
 def test_what_programs_write(tmp_path: Path, head: list[str], body: list[str]) -> None:
@@ -212,6 +213,13 @@ def test_what_programs_write(tmp_path: Path, head: list[str], body: list[str]) -
     log = read_log(path)
     assert log.array("t_s").tolist() == list(map(float, range(30)))
     assert log.array("x_ref_m")[-1] == pytest.approx(29.5e-6)
+
+
+def test_a_title_and_a_torn_line_above_numbers_are_no_names(tmp_path: Path) -> None:
+    (tmp_path / "putty.log").write_text("== log of 2026.03.02 10:15 ==\n,3.5\n" + "7,1,2.5\n" * 9)
+    source = open_source(tmp_path / "putty.log").source
+    assert source.names == ("unnamed_0", "unnamed_1", "unnamed_2")
+    assert source.read(["unnamed_2"])["unnamed_2"].tolist() == [2.5] * 9
 
 
 def test_columns_of_one_name_are_numbered_and_answer_to_their_own(tmp_path: Path) -> None:
@@ -235,6 +243,8 @@ def test_letters_of_western_europe_are_not_chinese(tmp_path: Path) -> None:
         '[{"t_ms": 0, "x_ref_um": 1.5}, {"t_ms": 1, "x_ref_um": 2}]',
         '{"rig": {"rate": 1000}, "log": {"t_ms": [0, 1], "ref": {"x_ref_um": [1.5, 2]}}}',
         '{"rig": "A", "log": [{"t_ms": 0, "x_ref_um": 1.5}, {"t_ms": 1, "x_ref_um": 2}]}',
+        '{"t_ms": {"0": 0, "1": 1}, "x_ref_um": {"0": 1.5, "1": 2}}',
+        '{"columns": ["t_ms", "x_ref_um"], "index": [0, 1], "data": [[0, 1.5], [1, 2]]}',
         '{"t_ms": 0, "ref": {"um": {"x": 1.5}}, "x_ref_um": 1.5}\n{"t_ms": 1, "x_ref_um": 2}\n',
     ],
 )
@@ -248,7 +258,7 @@ def test_json_of_lists_and_lists_of_json(tmp_path: Path, text: str) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (",t_ms,x_ref_um\nRange:,10,10\n" + "".join(f",{k},{k}.5\n" for k in range(9)), "settings below"),
+        (",t_ms,x_ref_um\nRange:,10,10\n" + "".join(f",{k},{k}.5\n" for k in range(9)), "left out ('Range:"),
         ("t_ms,0,1,2,3\nx_ref_um,0.5,1.5,2.5,3.5\n", "transposed"),
         ("Hz,200\nt_ms;ms;0;1;2;3\nx_ref_um;um;0,5;1,5;2,5;3,5\n", "transposed"),
     ],

@@ -29,6 +29,7 @@ FORMS = {
     "day first": lambda at: at.strftime("%d/%m/%Y %H:%M:%S.%f"),
     "month first": lambda at: at.strftime("%m-%d-%Y %H:%M:%S.%f"),
     "time of day": lambda at: at.strftime("%H:%M:%S.%f"),
+    "behind days": lambda at: f"{at.day} days {at:%H:%M:%S.%f}",
     "without hours": lambda at: at.strftime("%M:%S.%f"),
     "short": lambda at: f"{at.hour}:{at:%M:%S},{at.microsecond // 1000:03d}",
 }

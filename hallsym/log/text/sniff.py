@@ -148,7 +148,7 @@ class Split:
         """Return the index of the names and of the first row of data under them.
 
         The names are those words above the data, no units, that differ most from each other; of several such
-        rows those with most units, then the last. Damaged rows may stand between names and data.
+        rows those with most units, then the last.
         """
         count, width = len(self.rows), self.width
         usual = sorted(n for row, n in zip(self.rows, numeric, strict=True) if len(row) == width and n)
@@ -157,19 +157,18 @@ class Split:
         start = next(  # of several rows that look like data; where the rows are few, of fewer
             (k for n in (STEADY, 2, 1) for k in range(count) if data[k : k + n] == [True] * n), 0
         )
-        words = [k for k in range(start) if self.rows[k] and not numeric[k]]
+        least = min(width, 2)  # cells: a title names no columns
+        words = [k for k in range(start) if len(self.rows[k]) >= least and not numeric[k]]
         words = [k for k in words if abs(len(self.rows[k]) - width) <= 1] or words[-1:]
         if words:
             names = [k for k in words if not is_unit_row(self.rows[k])] or words
-            first = words[-1] + 1
-            while first < start and len(self.rows[first]) == width and 0 < numeric[first] <= half:
-                first += 1
             units = {k: sum(bool(split_header(cell)[1]) for cell in self.rows[k]) for k in names}
-            return max(names, key=lambda k: (min(len({*self.rows[k]} - {""}), width), units[k], k)), first
+            differ = {k: min(len({*self.rows[k]} - {""}), width) for k in names}
+            return max(names, key=lambda k: (differ[k], units[k], k)), words[-1] + 1
         first = next((k for k, row in enumerate(self.rows) if row), -1)
         if first < 0 or self._is_data(*self.rows[first : first + 2]):
             return -1, 0
-        return first, first + 1
+        return (first, first + 1) if len(self.rows[first]) >= least else (-1, start)
 
     @staticmethod
     def _is_data(row: Sequence[str], below: Sequence[str] = ()) -> bool:
@@ -178,12 +177,6 @@ class Split:
         numbers = [cell for cell in row[:LOOKED_AT] if is_number(cell)]
         counted = numbers in ([str(k + first) for k in range(len(numbers))] for first in (0, 1))
         return all(here) or (any(here) and here == under and not counted)
-
-    def is_setting(self, k: int) -> bool:
-        """Say whether a row begins with a word and those below do not: `Range:,10,10` above `,0.5,0.7`."""
-        first, *below = [row[0] for row in self.rows[k : k + 1 + STEADY] if len(row) == self.width] or [""]
-        words = [bool(_WORD.match(cell)) and cell not in MISSING for cell in (first, *below)]
-        return words[0] and len(below) == STEADY and not any(words[1:])
 
     @property
     def groups(self) -> list[str]:
@@ -221,12 +214,6 @@ class Split:
         return self.rows[self.top] if self.top >= 0 else []
 
     @property
-    def said(self) -> str:
-        """The delimiter in words."""
-        by = f"{DELIMITERS.get(self.delimiter, repr(self.delimiter))}s"
-        return f"columns separated by {by}" if self.width > 1 else "one column"
-
-    @property
     def fit(self) -> tuple[bool, bool, float, int]:
         """How well the delimiter fits, best where names and rows have as many cells, which are numbers.
 
@@ -244,10 +231,12 @@ class Split:
             shown = [c for j, c in enumerate(row) if k < self.data or any(j < len(r) and r[j] for r in below)]
             if len(row) == len(self.names) and is_unit_row(shown):
                 return max(self.data, k + 1), lines[k].number, row
-        for k in range(self.top - 1, -1, -1):  # a row of a header: its name, then units
-            units = [cell for cell in self.rows[k][1:] if cell]
+        for k in range(self.data - 1, -1, -1):  # a row of a header: its name, then units
+            cells = split(lines[k].text, self.delimiter)
+            units = [cell for cell in cells[1:] if cell]
             if len(units) > 1 and 3 * len(units) >= self.width and all(map(unit_of, units)):
-                return self.data, lines[k].number, ["", *self.rows[k][1:]]
+                behind = len(cells) > self.width  # a word of its own, which stands over no column
+                return self.data, lines[k].number, cells[1:] if behind else ["", *cells[1:]]
         return self.data, 0, []
 
 
@@ -260,7 +249,6 @@ MOST, NUMBERS = 100, 4000
 LAST = 20
 """Lines at the end of a text that are looked at for words about the table."""
 _COMMENTS = ("#", "%", "//", "!")
-_SEP = re.compile(r"sep=(.)", re.IGNORECASE)
 _WORD = re.compile(r"[^\W\d_][\w ]")
 _BEGINS = re.compile(rf"[\s\"']*(?:{_WORD.pattern}|\*)")
 
@@ -274,8 +262,6 @@ def sniffed(
     read in two ways.
     """
     lines, marks = _sample(text, where)
-    if lines and (stated := _SEP.fullmatch(lines[0].text.strip())):
-        lines, delimiter = lines[1:], delimiter or stated[1]
     if all(line.comment for line in lines):
         raise InputError(
             f"{where} is empty: it must hold a header line with column names and one line per sample."
@@ -300,9 +286,6 @@ def sniffed(
         lines = _with_names(lines, table)
         written, table = lines, _table(lines[:MOST], table.delimiter, where)
     first, units_line, units = table.units(lines)
-    under = first
-    while table.is_setting(first):
-        first += 1
     if not units and first < len(lines):
         units = [unit_behind(cell) or "" for cell in split(written[first].text, table.delimiter)]
     names = table.names[: table.width]  # LabVIEW's last one stands over no cells
@@ -320,7 +303,8 @@ def sniffed(
     numbers = _numbers(body, "" if quoted else table.delimiter, decimal, where)
     remarks = []
     times = _times(body)
-    if 0 in times or (body and is_number(next(filter(None, body[0]), ""))):  # else all rows look so
+    begin = [is_number(next(filter(None, row), "")) for row in body]
+    if 0 in times or 2 * sum(begin) > len(body):  # else all rows look so
         ends = text.end.rstrip("\n").split("\n")[1:][-LAST:]
         seen = [
             line
@@ -330,15 +314,15 @@ def sniffed(
         remarks = [line.strip() for line in seen if is_remark(line, table.delimiter, len(stems), heads)]
     above = sum(line.number < header and not line.comment for line in lines)
     group = f" and {numbers.grouping!r} between thousands" if numbers.grouping else ""
+    by = DELIMITERS.get(table.delimiter, repr(table.delimiter))
+    cells = f"columns separated by {by}s" if table.width > 1 else "one column"
     said = [
-        f"sheet '{sheet}'" if sheet else f"{text.said}, {table.said}",
+        f"sheet '{sheet}'" if sheet else f"{text.said}, {cells}",
         f"decimal {'comma' if numbers.decimal == ',' else 'point'}{group}",
         *(spelling.said for spelling in spelled),
         f"names in line {header}{f' with units in line {units_line}' if units_line else ''}",
         *([f"{above} {'line' if above == 1 else 'lines'} above them not used"] if above else ()),
     ]
-    if settings := [line.text for line in lines[under:first]]:
-        said.append(f"settings below them left out ({settings[0][:40]!r})")
     if remarks:
         said.append(f"lines of words among the numbers left out ({remarks[0][:40]!r})")
     plain = text.encoding == "utf-8" and numbers == POINT and table.delimiter in ",\t"
@@ -347,7 +331,7 @@ def sniffed(
         quoted, bool(remarks),
         not text.end.endswith("\n") and text.end.strip().rpartition("\n")[2] not in remarks,
         times, tuple(spelled), repeated, heads, _facts(lines[:first]),
-        ", ".join(said), usual=plain and not (units_line or remarks or above or spelled or settings),
+        ", ".join(said), usual=plain and not (units_line or remarks or above or spelled),
     )  # fmt: skip
 
 
@@ -401,7 +385,7 @@ def _with_names(lines: Sequence[Line], table: Split) -> list[Line]:
 
     Numbers below no names at all are `unnamed_0` to `unnamed_k`.
     """
-    at = next(k for k, line in enumerate(lines) if not line.comment) if table.top < 0 else table.data
+    at = next(k for k, line in enumerate(lines) if k >= table.data and not line.comment)
     series = defaultdict[str, list[str]](list)
     for name, value in _facts(lines[:at]).items():
         series[re.sub(r"\d+", "", name)].append(re.sub(r"\s+(?![(\[])", "_", value))
@@ -409,13 +393,12 @@ def _with_names(lines: Sequence[Line], table: Split) -> list[Line]:
         cells = [re.split(r"[:\t]\s*", cell)[-1] for cell in split(line, by)]
         series[f"{by}{line}"] = cells[not cells[0] :]  # behind a word
     widths = {table.width, table.width - (table.spare is not None)} - {0, 1}
-    names = next((own for own in series.values() if len(own) == len({*own}) and len(own) in widths), [])
+    rows = (own for own in series.values() if len(own) in widths and not is_unit_row(own))
+    names = next((own for own in rows if len(own) == len({*own})), [])
     if not names or any(map(is_number, names)):
         if table.top >= 0:
             return [*lines]
         names = [f"unnamed_{k}" for k in range(table.width)]
-        if re.match(r"1\d{9}[;,\t ]\d{1,9}[;,\t ]", lines[at].text):  # seconds since 1970 and the rest
-            names[:2] = "sec", "nanosec"
     return [*lines[:at], Line(lines[at].number - 1, table.delimiter.join(names)), *lines[at:]]
 
 
