@@ -42,6 +42,7 @@ from hallsym.files import atomic_write, read_json
 from hallsym.log import Log, Meta, check_log, estimate_noise, open_source, spans
 from hallsym.log.columns import is_moving, split_header
 from hallsym.log.formats import FORMATS, Opened
+from hallsym.log.groups import GroupedSource
 from hallsym.log.table import Source
 from hallsym.model import Model
 from hallsym.output import PROSE, fitted
@@ -161,8 +162,8 @@ def _head(source: Source) -> list[Block | str]:
     """The recognised form of a file, and its first rows under its own names, as many as fit."""
     rows = source.head(SHOWN_ROWS, SHOWN_COLUMNS)
     names = source.names[:SHOWN_COLUMNS]
-    named = [name in source.units and not split_header(name)[1] for name in names]
-    units = [f" [{source.units[name]}]" if open else "" for name, open in zip(names, named, strict=True)]
+    stated = [source.units.get(name) for name in names]
+    units = [f" [{u}]" if u and u != split_header(n)[1] else "" for n, u in zip(names, stated, strict=True)]
     columns = [
         [name + unit, *(_short(row[k]) or "-" for row in rows if k < len(row))]
         for k, (name, unit) in enumerate(zip(names, units, strict=True))
@@ -205,6 +206,8 @@ def _write(options: Namespace) -> int:
         "rest": list(found.rest),
     }
     options.column = [options.write]
+    if options.join and isinstance(source, GroupedSource) and source.others:  # whose names are in the draft
+        options.clock = source.master.name
     stated = options.model or (found.recognised and not found.by_columns)
     chosen = ["--model", found.model.name] if stated else []
     following = ["hallsym", "fit", options.file, *chosen, *reading_words(options)]

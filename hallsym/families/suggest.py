@@ -436,8 +436,9 @@ def _matched(source: Source, data: Mapping[str, Array], model: Model) -> list[tu
                 pairs.append((like if fits else like / 2, stem, name))
             by_unit = not words_of(name, unit=True) and _stated(source, name) and stem not in (RUN, TIME)
             by_unit = by_unit or (stem == TIME and _stated(source, name) == name.lower())
-            # an index is no time, moments since 1970 are one
-            index = _whole(values) and values[0] < MOMENTS and not _stated(source, name)
+            # an index or a counter is no time; moments since 1970 are one, and ticks that stand first
+            ticks = name == source.names[0] and (np.diff(values) != 1).any()
+            index = _whole(values) and values[0] < MOMENTS and not (ticks or _stated(source, name))
             by_data = stem == RUN or (stem == TIME and not index)
             if fits and (by_unit or by_data):
                 pairs.append((BARE / 2, stem, name))
@@ -514,6 +515,8 @@ def _with_unit(
     if guess.stem == RUN:
         return guess
     stated, kinds = _stated(source, guess.theirs), _kinds(guess.stem, model)
+    behind = re.search(r".[(\[{<](.+)[)\]}>]$", guess.theirs)
+    odd = behind[1] if behind and not stated else ""  # where a unit would stand
     whole = guess.stem in _stems(model) and _whole(values) and np.ptp(values) >= COUNTED
     going_round = "rad" in kinds and _goes_round(f"{guess.stem}_rad")
     if going_round and (stated == "count" or (whole and not stated)):
@@ -533,10 +536,11 @@ def _with_unit(
         span = float(np.nanmax(values) - np.nanmin(values))
         why = f"{guess.why}; CHECK THE TURN: its range of {span:.4g} {stated} is taken for one"
         return replace(guess, units=("rad",), scale=float(f"{2 * np.pi / span:.6g}"), why=why)
-    if stated or whole:
+    if stated or whole or (odd and guess.stem in _stems(model)):
         unit = {"m": "um", "rad": "urad"}.get(kinds[0], kinds[0])
         others = [] if stated else [u.name for u in units if u.name != unit]
-        said = f"state {unit} per {stated}" if stated else f"whole numbers: counts, of so many {unit} each?"
+        said = f"state {unit} per {stated or odd}"
+        said = said if stated or odd else f"whole numbers: counts, of so many {unit} each?"
         return guess.in_units(unit, *others, said=said, raw=stated or COUNTS)
     if expected is not None:
         distance = {u.name: abs(np.log(u.factor * np.std(values) / np.std(expected)))
@@ -627,7 +631,7 @@ def _by_readings(
     free = [n for n in free if (volts or _unit_fits(source, n, stem, model)) and not _behaves(RUN, data[n])]
     followed = []
     few = {name: values[:: -(-len(values) // TRIED)] for name, values in data.items()}
-    for guess in mine or [_with_unit(source, data[n], Guess(stem, n, (), ""), model) for n in free]:
+    for guess in mine or [_with_unit(source, data[n], Guess(stem, n, (), "its data"), model) for n in free]:
         if guess.counts_per_turn:
             tried = [replace(guess, counts_per_turn=1 << bits) for bits in BITS]
         else:
@@ -641,7 +645,7 @@ def _by_readings(
         for one in tried if len(others) >= len(model.channels) else ():
             if np.ptp(_si(data[one.theirs], one)) >= np.pi:
                 why = guess.why.partition(";")[0] if mine else "its data"
-                said = replace(one, why=f"{why}; the readings follow it in this unit")
+                said = one if one.scale else replace(one, why=f"{why}; the readings follow it in this unit")
                 followed.append((_left_over(_readings(model, _known(few, [*known, one])), others), said))
     (best, found), *worse = sorted([*followed, (1.0, None)], key=lambda one: one[0])
     sure = best <= 1 - MOVES**2 and (not worse or best * NEAR**2 <= worse[0][0])

@@ -84,3 +84,18 @@ def test_a_unit_beside_that_of_the_files_of_runs_is_said(runs):
 def test_an_argument_of_another_kind_is_named(given, said):
     with pytest.raises(hallsym.InputError, match=said):
         hallsym.fit(hallsym.bundled_campaign(), "stage31", solver="direct", **given)
+
+
+def test_two_files_have_the_clock_for_which_their_columns_were_named(capsys, monkeypatch, tmp_path):
+    """A name without its unit, as people write it, must not change whose samples are the rows."""
+    monkeypatch.chdir(tmp_path)
+    t = np.arange(300) * 2e-3
+    ends = [[f"{1e3 * u:.0f},{np.sin(9 * u):.6f},{np.cos(9 * u):.6f}" for u in t[::2]],
+            [f"{u:.6f}\t{np.degrees(9 * u):.6f}" for u in t]]  # fmt: skip
+    for name, head, rows in zip("ab", ("time_ms,u1_mV,u2_mV", "Time [s]\tAngle [deg]"), ends, strict=True):
+        (tmp_path / f"{name}.txt").write_text("\n".join([head, *rows, ""]))
+    assert main(["info", "a.txt", "--join", "b.txt", "--write"]) == OK
+    words = shlex.split(capsys.readouterr().out.partition("next: hallsym ")[2])
+    draft = (tmp_path / "columns.toml").read_text().replace("u1_mV", "u1").replace("u2_mV", "u2")
+    (tmp_path / "columns.toml").write_text(draft)
+    assert main([*words, "--solver", "direct"]) != BAD_INPUT

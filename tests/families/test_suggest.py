@@ -169,6 +169,9 @@ def test_whole_numbers_over_eight_bits_may_be_counts() -> None:
         assert guess.raw == raw
         assert guess.open
         assert any("scale" in line for line in guess.lines) == bool(raw)
+    (unknown,) = suggest(open_source({"HallA (furlong)": RAMP})[2], "stage31").guesses
+    assert unknown.open
+    assert "state um per furlong" in unknown.why
     (volts,) = suggest(open_source({"HallA [V]": RAMP})[2], "stage31").guesses
     assert volts.lines == ['# hall_a_um = { name = "HallA", scale = 1.0, offset = 0.0 }']
 
