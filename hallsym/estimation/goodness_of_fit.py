@@ -361,7 +361,8 @@ SETTLE = 500
 """Samples for which simulated noise runs before it counts: e^-2.5 of the most persistent noise is left."""
 GAUSSIAN, FLATTER = 3.0, 4.0
 """Kurtosis of Gaussian noise, and standard errors below it at which a signal is bounded: of 36 channels one
-in a thousand logs. A sine has 1.5."""
+in a thousand logs. A sine has 1.5. Its variance is 24 / n times the sum of the fourth powers of the
+autocorrelations (T. Gasser, Biometrika 62 (1975) 563)."""
 LONGEST = 1000
 """Lags beyond which the most persistent noise is uncorrelated."""
 COVERED = 0.975
@@ -494,7 +495,7 @@ def residual_noise(r: Residual, channels: Sequence[str]) -> ResidualNoise | None
         return None
     phi, kept = _autoregression(body_of, seen[: ORDER + 1], white)
     rho = correlations(phi, LONGEST)
-    fewer = 1.0 + 2.0 * float((rho[1:] ** 2).sum())
+    fewer, fourth = (1.0 + 2.0 * float((rho[1:] ** power).sum()) for power in (2, 4))
     ratio, interval = work.size(left, kept, fewer)
     own = raw / np.sqrt(np.diag(r.covariance))[:, None]
     each = {c: work.size(row[None], kept, fewer) for c, row in zip(channels, own, strict=True)}
@@ -514,7 +515,7 @@ def residual_noise(r: Residual, channels: Sequence[str]) -> ResidualNoise | None
         correlation=float(rho[1]),
         memory=float(max(1.0, 1.0 + 2.0 * rho[1:].sum())),
         coefficients=tuple(phi.tolist()),
-        bounded=kurtosis < GAUSSIAN - FLATTER * float(np.sqrt(24.0 * fewer / work.free)),
+        bounded=kurtosis < GAUSSIAN - FLATTER * float(np.sqrt(24.0 * fourth / work.free)),
         samples=int(work.count),
     )
 

@@ -79,6 +79,15 @@ def test_a_gap_is_no_noise() -> None:
     assert found(coloured(np.random.default_rng(1), 4000, 0), gap=5.0).ratio == pytest.approx(1.0, abs=0.03)
 
 
+def test_a_line_is_bounded_and_noise_of_a_narrow_band_is_not() -> None:
+    """Both repeat with a period of nine samples; the standard error of a kurtosis takes this into account."""
+    rng, n = np.random.default_rng(5), 5000
+    line = 8 * np.sin(0.7 * np.arange(n) + np.array([[0.0], [1.0], [2.0]]))
+    assert found(line + rng.standard_normal((3, n))).bounded
+    narrow = lfilter([1.0], [1.0, -2 * 0.97 * np.cos(0.7), 0.97**2], rng.standard_normal((3, n)), axis=1)
+    assert not found(narrow).bounded
+
+
 def test_noise_is_told_against_what_was_stated_channel_by_channel() -> None:
     noise = coloured(np.random.default_rng(2), 4000, 0) * np.array([[1.0], [1.0], [2.0]])
     r = found(noise, stated=0.5)
