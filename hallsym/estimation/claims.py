@@ -24,7 +24,7 @@ from hallsym.estimation.goodness_of_fit import noise_followed
 from hallsym.estimation.identifiable import determine
 from hallsym.estimation.likelihood import Cost, cost_near, cost_of
 from hallsym.estimation.optimum import NEWTON, SETTLING, closed_form, linear_fit, optimum, refit
-from hallsym.estimation.task import noise_of, silent, without_spikes
+from hallsym.estimation.task import noise_of, silent
 from hallsym.families.recording import Correction, as_corrections, corrected_run, said, scales
 from hallsym.log import Log, Noise
 from hallsym.log.batches import batches
@@ -87,16 +87,14 @@ def _without_ends(fit: Fit) -> bool:
     """Return whether the samples that a fit left out as spikes are the ends of runs.
 
     There a mean has fewer neighbours, and what is late repeats its first value; a spike may be anywhere.
-    A fit with effects leaves out what the model without them does not describe; samples that the whole model
-    describes are no spikes.
     """
     if fit.keep is None or fit.source is None:
         return False
-    model, keep = fit.model, without_spikes(fit, fit.source)
+    model = fit.model
     lost, lost_ends, samples, ends = 0, 0, 0, 0
     log = extended(continuous(fit.source, model), model, fit.noise.std, model.named(fit.values))
     for batch in batches(log, columns_of(model)):
-        out = np.concatenate([(fit.keep(b) == 0) & (keep(b) == 0) for b in batch.blocks])
+        out = np.concatenate([fit.keep(block) == 0 for block in batch.blocks])
         at = sorted({place for _, part in batch.parts() for place in (part.start, part.stop - 1)})
         lost, lost_ends = lost + int(out.sum()), lost_ends + int(out[at].sum())
         samples, ends = samples + len(out), ends + len(at)

@@ -25,6 +25,7 @@ from hallsym.estimation.likelihood import Cost, Sharing, cost_of, joint_cost, nu
 from hallsym.estimation.optimum import SOLVERS, Solution, closed_form, linear_fit, searched, unrelated
 from hallsym.estimation.several import check_gains, check_same, labels, restricted, several_fit
 from hallsym.estimation.task import (
+    SPIKES,
     Asked,
     Begun,
     LogFit,
@@ -261,7 +262,8 @@ def _fit_one(log: Log, model: Model, asked: Asked, began: float) -> tuple[Fit, L
         )
         first = _fit_one(one.task.log, base, plainly, began)[0]
         offsets = zero_notes(first.model, tuple(first.offsets), np.array(list(first.offsets.values())))
-        one.notes += tuple(note for note in first.notes if note not in (*offsets, *one.task.log.notes))
+        own = (*offsets, *one.task.log.notes)
+        one.notes += tuple(n for n in first.notes if n not in own and not n.endswith(SPIKES))
     one.notes = tuple(dict.fromkeys(one.notes))
     one.task, one.solution, one.keep = one.task.by_passes(first)
     one.errors = one.task.errors(one.solution, one.keep)
@@ -464,7 +466,6 @@ class _Together:
             one, wrong_for = self.logs[g], rules[g].wrong_for
             if one.begun.samples < begun.samples:
                 one.keep = weigh[g]
-                one.notes += (_left_out(begun.samples, one.begun.samples),)
             else:
                 one.begun = begun
             if wrong_for:
@@ -499,11 +500,3 @@ def _weighed(task: Task, weigh: Weigh, clean: Begun) -> Begun:
     whole = batches(continuous(task.log, task.model), columns_of(task.model))
     lost = any((np.asarray(b.weights(weigh)) < 1).any() for b in whole)  # most logs have no spike
     return task.begin(task.summary(weigh)) if lost else clean
-
-
-def _left_out(total: float, left: float) -> str:
-    """Return a note on the samples that were left out."""
-    return (
-        f"{total - left:.0f} of {total:.0f} samples ({100 * (total - left) / total:.2g} %) are isolated "
-        "spikes and were left out of fit and error tables (--loss none keeps them)."
-    )

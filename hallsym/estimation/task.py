@@ -25,7 +25,6 @@ from hallsym.estimation.decoding import (
     Errors,
     ErrorTable,
     error_tables,
-    knows_rails,
     logged_columns,
     nominal_variance,
     residuals,
@@ -47,7 +46,7 @@ from hallsym.estimation.optimum import DROP, LinearFit, Solution, linear_fit, op
 from hallsym.families import adapted, added_effects, build, default_model, plain
 from hallsym.families.recording import Correction, corrected
 from hallsym.log import Fault, Log, Noise, estimate_noise, usable
-from hallsym.log.batches import Weigh
+from hallsym.log.batches import Weigh, remembered
 from hallsym.log.core import Drop, without
 from hallsym.log.phase import at_rest, continuous, designed, home_notes
 from hallsym.log.quality.values import repeated
@@ -186,15 +185,14 @@ class Task:
     def by_passes(self, first: Fit | None) -> "tuple[Task, Solution, Weigh | None]":
         """Fit a model without run statistics, from `first`: the fit of the model without its effects.
 
-        Returns also the task with the residual noise, and the weights that `first` gave.
+        Returns also the task with the residual noise, and the weights that `first` gave but for samples that
+        the whole model describes: these are no spikes, as the corners that a rail cuts.
         """
         task, keep, begin = self, None, self.model.nominal
         if self.model.guess is not None and first is None:
             begin = self.model.vector(self.model.guess(self.model, self.log))
         if first is not None:
-            task = replace(self, known_noise=first.noise)
-            # the corners that a rail cuts look like spikes to a model without rails
-            keep = None if knows_rails(self.model) else first.keep
+            task, keep = replace(self, known_noise=first.noise), first.keep
             known = first.model.named(first.values)
             begin = self.model.vector({n: v for n, v in known.items() if n in self.model.names})
         begin = begin if self.asked.start is None else self.asked.start
@@ -204,11 +202,20 @@ class Task:
         if (noise := noise_followed(task.log, state.point, task.noise, keep)) is not None:
             task = replace(task, log=replace(task.log, noise=noise))
             state = task.passes(state.p, keep)
+        if first is not None and keep is not None:
+            keep = task.undescribed(state, keep)
+            state = task.passes(state.p, keep)
         return task, state, keep
 
     def passes(self, begin: np.ndarray, keep: Weigh | None) -> Solution:
         """Return the optimum that passes over the log reach from `begin` (n,)."""
         return optimum(self.log, self.model, self.noise.std, begin, self.holdout, keep, self.asked.say)
+
+    def undescribed(self, state: Solution, keep: Weigh) -> Weigh:
+        """Return weights that leave out those samples of `keep` that are spikes of this residual too."""
+        rows, measured = self.log.rows, (*self.model.references, *self.model.channels)
+        rule = self.weigh(state, remembered(outliers.column_spikes(measured), rows, measured))
+        return remembered(lambda block: np.maximum(keep(block), rule(block)), rows, measured)
 
     def elsewhere(self, state: Solution, known: Sequence[str], keep: Weigh | None) -> Solution:
         """Return a better optimum from starts at which parameters without effect at the optimum act.
@@ -473,6 +480,7 @@ def fit_of(
         ),
         notes=(
             *solved.notes,
+            *left_out(task.log.rows, state.everything),
             *zero_notes(model, tuple(offsets), delta),
             *(home_notes(task.log, model, offsets) if errors else ()),
         ),
@@ -489,6 +497,15 @@ def fit_of(
         versions=dict(versions_used()),
         error_rows=errors or {},
     )
+
+
+SPIKES = "isolated spikes and were left out of fit and error tables (--loss none keeps them)."
+
+
+def left_out(rows: int, everything: Cost) -> tuple[str, ...]:
+    """Return a note on the samples of `rows` that a fit left out."""
+    gone = round(rows - float(everything.summary.counts.sum()))
+    return (f"{gone} of {rows} samples ({100 * gone / rows:.2g} %) are {SPIKES}",) if gone else ()
 
 
 def zero_notes(model: Model, runs: Sequence[int], delta: np.ndarray) -> tuple[str, ...]:
