@@ -83,7 +83,7 @@ def _near(
     name: str, given: Sequence[float], right: Sequence[float], r: Recording, columns: frozenset
 ) -> bool:
     """Whether the numbers of two corrections of one name mean the same."""
-    if len(given) != len(right):
+    if len(given) != len(right) and (given or name != "stuck"):
         return False
     a, b = np.array(given, float), np.array(right, float)
     if name in ("scale", "coarse_steps"):
@@ -93,6 +93,8 @@ def _near(
     if name == "zero_moved":
         early = max(3, 0.05 * len(r.true["run"]) / len(r.runs))
         return bool(abs(a[0] / b[0] - 1) < 0.2 and abs(a[1] - b[1]) <= early)
+    if name == "stuck" and not given:
+        return True
     if name == "stuck":
         both, either = min(a[1], b[1]) - max(a[0], b[0]), max(a[1], b[1]) - min(a[0], b[0])
         return bool(both / either > 0.7)
@@ -111,8 +113,20 @@ def same(text: str, right: str, r: Recording) -> bool:
         return False
     if (a.name, a.columns) != (b.name, b.columns) or not _near(a.name, a.numbers, b.numbers, r, a.columns):
         return False
+    if a.name == "stuck" and not a.numbers:  # it leaves out what repeats, where that is
+        return a.runs <= b.runs
     shared = len(a.runs & b.runs) / max(1, len(a.runs | b.runs))
     return a.runs == b.runs or (len(a.runs) > 0 and a.runs < b.runs) or shared >= MOSTLY
+
+
+def repeated(x: np.ndarray, shortest: int = 8) -> np.ndarray:
+    """Return which samples are in a row of values that the column held before."""
+    known, out = set(), np.zeros(len(x), bool)
+    for k in range(len(x) - shortest + 1):
+        row = x[k : k + shortest].tobytes()
+        out[k : k + shortest] |= row in known
+        known.add(row)
+    return out
 
 
 def undone(r: Recording, text: str) -> Recording:
@@ -135,7 +149,8 @@ def undone(r: Recording, text: str) -> Recording:
             for c in set(every) - it.columns:
                 arrays[c][rows] = mean_of(arrays[c][rows], int(numbers[0]))
         elif it.name == "stuck":
-            keep[rows] &= (at < numbers[0]) | (at >= numbers[1])
+            keep[rows] &= (at < numbers[0]) | (at >= numbers[1]) if numbers else \
+                ~np.any([repeated(r.arrays[c][rows]) for c in it.columns], axis=0)  # fmt: skip
         for c in it.columns:
             if it.name in ("sign", "scale"):
                 arrays[c][rows] *= -1 if it.name == "sign" else numbers[0]

@@ -593,19 +593,38 @@ def coarse(role: Role, bits: int, *, every: bool = False) -> Make:
     return make
 
 
-def stuck(role: Role, *, every: bool = False) -> Make:
+def stuck(role: Role, *, every: bool = False, extreme: bool = False) -> Make:
     def make(d: Draft) -> None:
         columns = role(d.r) if every else [d.one(_moving(d, role(d.r)))]
         for run, rows in zip(d.runs, d.rows, strict=True):
             n = rows.stop - rows.start
             length = max(4, int(d.rng.uniform(0.08, 0.4) * n))
             start = int(d.rng.integers(0, n - length))
+            if extreme:  # a rail has others beyond it
+                start = min(int(np.argmax(d.arrays[columns[0]][rows])), n - length)
             for c in columns:
                 d.arrays[c][rows.start + start : rows.start + start + length] = d.arrays[c][
                     rows.start + start
                 ]
             d.right.append(f"stuck {names(columns)} {start} {start + length} in {run}")
         d.columns += columns
+
+    return make
+
+
+def blocks(role: Role) -> Make:
+    """Write a block of each run twice, in place of the next one: a buffer that was sent again."""
+
+    def make(d: Draft) -> None:
+        place, share = d.rng.uniform(0.3, 0.6), d.rng.uniform(0.1, 0.25)
+
+        def again(x: np.ndarray) -> np.ndarray:
+            at, length = int(place * len(x)), max(8, int(share * len(x)))
+            x[at : at + length] = x[at - length : at]
+            return x
+
+        d.change(columns := role(d.r), again)
+        d.say(f"stuck {names(columns)}")
 
     return make
 
@@ -715,6 +734,9 @@ def _kinds() -> tuple[Kind, ...]:
         add(f"state x {factor:.3g}", scaled(STATE, factor), STATE, "log run", only=heights)
     add("two states exchanged", exchanged(STATE), STATE, "log run", only=heights)
     add("gap zeroed", zeroed, of_unit(REFERENCES, "z_ref_m"), "log", only=("halbach", "planar"))
+    for role, what in ((READINGS, "reading"), (REFERENCES, "reference")):
+        add(f"{what} stuck at its extreme", stuck(role, extreme=True), role, "run")
+        add(f"blocks of {what}s repeated", blocks(role), role, "log")
     return tuple(out)
 
 

@@ -25,7 +25,7 @@ from hallsym.estimation.identifiable import determine
 from hallsym.estimation.likelihood import Cost, cost_near, cost_of
 from hallsym.estimation.optimum import NEWTON, SETTLING, closed_form, linear_fit, optimum, refit
 from hallsym.estimation.task import noise_of, silent
-from hallsym.families.recording import Correction, as_corrections, corrected_run, said, scales
+from hallsym.families.recording import Correction, as_corrections, corrected_run, repeats, said, scales
 from hallsym.log import Log, Noise
 from hallsym.log.batches import batches
 from hallsym.log.columns import RUN, is_moving, run_list
@@ -33,6 +33,7 @@ from hallsym.log.core import Block
 from hallsym.log.derived import extended
 from hallsym.log.estimate import estimate_noise
 from hallsym.log.phase import as_continuous, continuous
+from hallsym.log.quality.scan import is_noisy
 from hallsym.log.table import joined
 from hallsym.model import Model, Parameter, Signals
 from hallsym.units import UNITS, si_unit
@@ -483,12 +484,12 @@ class Tried:
     def rest(self, after: Tried | None) -> float:
         """Return the share of what is left, squares over the noise, that is left after a correction.
 
-        All of it where a delay or a mean keeps few samples.
+        All of it where a correction keeps few samples.
         """
         if after is None or not after.left:
             return np.inf
         few = sum(after.counts.values()) <= KEEPS * sum(self.counts.values())
-        if few and any(one.kind in STEPS for one in after.corrections):
+        if few:
             return np.inf
         return after.mean(after.left) / max(self.mean(self.left), 1e-300)
 
@@ -576,7 +577,7 @@ RIVAL = 20.0
 NEAR = 0.02
 """The same of each reading, over what is left: where effects are left too, chance is not all that decides."""
 KEEPS = 0.6
-"""Share of the samples that a delay or a mean must keep: half a wave of what moves is a sign as well."""
+"""Share of the samples that a correction must keep: late by half a wave of what moves is a sign as well."""
 CHANCE = 2.0
 """Standard deviations of the mean square of noise: corrections that keep other samples differ by chance."""
 DIFFERENT = 3
@@ -762,7 +763,8 @@ class Judged:
     def plain(self) -> tuple[int, int]:
         """How much it assumes: numbers that were searched, columns."""
         c = self.correction
-        return (0 if c.unit else len(c.numbers)), len(c.columns)
+        numbers = c.numbers or (0.0,) * len(c.mistake.numbers)
+        return (0 if c.unit else sum(map(np.isfinite, numbers))), len(c.columns)
 
 
 def _best(
@@ -1105,6 +1107,7 @@ def of_samples(trials: Trials, tried: Tried) -> Iterator[Correction]:
     runs = list(tried.left)
     yield from _turns(trials, runs)
     yield from _rails(trials, runs)
+    yield from _repeated(trials, runs)
     yield from _coarse(trials, runs)
     if len(runs) == 1:
         yield from _steps(trials, tried, runs, within=True)
@@ -1158,6 +1161,21 @@ def _stop(x: np.ndarray) -> float:
         return least + near
     same, following = int(np.sum(x == least)), int(np.sum(x == x[x > least].min()))
     return least if same > PILED * following else -np.inf
+
+
+def _repeated(trials: Trials, runs: Sequence[int]) -> Iterator[Correction]:
+    """Yield the columns that repeat samples in some runs; those that repeat the same ones together.
+
+    A column without noise repeats values rightly: at rest, or where it goes one way twice.
+    """
+    found: dict[bytes, list[str]] = {}
+    for c in filter(is_moving, trials.columns):
+        if not any(is_noisy(trials.full[c][at]) for _, at in trials.spans):
+            continue
+        again = [repeats(trials.full[c][at]) for run, at in trials.spans if run in runs]
+        if any(some.any() for some in again):
+            found.setdefault(np.concatenate(again).tobytes(), []).append(c)
+    yield from (Correction("stuck", tuple(together)) for together in found.values())
 
 
 def _coarse(trials: Trials, runs: Sequence[int]) -> Iterator[Correction]:

@@ -10,6 +10,7 @@ A mistake is stated by a text, which a fit proposes, `--correct` takes and a cal
     gain_step hall_a_m 1.05             its gain is so many times what it is elsewhere
     clipped x_ref_m -3e-4 3e-4          it stops at these values
     stuck hall_b_m 120 180              it stands still from one sample to before another
+    stuck hall_b_m                      it stands still, or repeats earlier samples, wherever it does
     averaged hall_a_m,hall_b_m 3        it holds centred means over so many samples
     coarse_steps hall_a_m 1e-5          it is rounded to steps
     copied_run in 7                     the run is a copy of another
@@ -30,6 +31,7 @@ from hallsym.log import Log, Noise
 from hallsym.log.columns import RUN, read_runs, run_list
 from hallsym.log.core import Block
 from hallsym.log.phase import continuous
+from hallsym.log.quality.scan import STUCK_SAMPLES
 from hallsym.log.table import CHUNK_ROWS, Piece, TableLike, View, joined
 from hallsym.model import Model
 from hallsym.units import UNITS, split_unit
@@ -103,8 +105,8 @@ class Mistake:
     """A kind of mistake: what it means, how it is undone in the columns of a run, and what its text holds.
 
     `numbers`: names of the numbers after the columns; `since`: the second is a sample, after "from", and may
-    be absent. `pair`: the text names two columns. `whole_run`: the text names runs in place of columns.
-    `keeps`: no value changes, the noise alone does.
+    be absent. `seen`: all may be, as the columns show them. `pair`: the text names two columns. `whole_run`:
+    the text names runs in place of columns. `keeps`: no value changes, the noise alone does.
     `cuts`: its columns tell which samples are left out. `factor`: what undoing it multiplies columns by.
     `sources`: where the right values stand, of a mistake that each sample is put right by alone, by a factor.
     """
@@ -114,6 +116,7 @@ class Mistake:
     undo: Callable[[Correction, Data], np.ndarray | None]
     numbers: tuple[str, ...] = ()
     since: bool = False
+    seen: bool = False
     pair: bool = False
     whole_run: bool = False
     noise: Callable[[Correction, Noise], Noise] = lambda c, noise: noise
@@ -160,7 +163,19 @@ def _off_rails(c: Correction, data: Data) -> np.ndarray:
     return np.all([(data[name] > low) & (data[name] < high) for name in c.columns], axis=0)
 
 
+def repeats(x: np.ndarray) -> np.ndarray:
+    """Return which samples of a run (n,) are among `STUCK_SAMPLES` values that it had before: (n,)."""
+    if len(x) <= STUCK_SAMPLES:
+        return np.zeros(len(x), dtype=bool)
+    parts = np.lib.stride_tricks.sliding_window_view(x, STUCK_SAMPLES)
+    _, first, same = np.unique(parts, axis=0, return_index=True, return_inverse=True)
+    again = first[same.ravel()] < np.arange(len(parts))
+    return np.asarray(np.convolve(again, np.ones(STUCK_SAMPLES)) > 0.5)
+
+
 def _without(c: Correction, data: Data) -> np.ndarray:
+    if not c.numbers:
+        return ~np.any([repeats(data[name]) for name in c.columns], axis=0)
     at = np.arange(len(data[c.columns[0]]))
     return np.asarray((at < c.numbers[0]) | (at >= c.numbers[1]))
 
@@ -271,8 +286,8 @@ MISTAKES = {
         ),
         Mistake("clipped", "the values of {columns} stop at {rails}", _off_rails, ("LOW", "HIGH"), cuts=True),
         Mistake(
-            "stuck", "the values of {columns} stand still from sample {0:.0f} to {1:.0f}", _without,
-            ("START", "STOP"), cuts=True,
+            "stuck", "the values of {columns} stand still{stretch}", _without, ("START", "STOP"), seen=True,
+            cuts=True,
         ),
         Mistake(
             "averaged", "the values of {columns} are means over {0:.0f} samples", _sharpen,
@@ -315,6 +330,7 @@ def said(c: Correction) -> str:
     'the numbers of rx_rad are in deg in run 3'
     """
     late = c.numbers[0] if c.kind == "delay" else 0.0
+    ends = [f"{n:.0f}" for n in c.numbers[:2]]
     factor = abs(c.numbers[0]) if c.kind == "scale" else 1.0  # other numbers may be 0
     off = f"{factor:.4g} times too small" if factor > 1 else f"{1 / factor:.4g} times too large"
     words = {
@@ -323,6 +339,7 @@ def said(c: Correction) -> str:
         "scale": f"in {c.unit}" if c.unit else off,
         "delay": f"{counted(abs(round(late)), 'sample')} {'late' if late > 0 else 'early'}",
         "since": f" from sample {c.numbers[1]:.0f} on" if c.numbers[1:] else "",
+        "stretch": f" from sample {' to '.join(ends)}" if ends else " or repeat earlier ones",
     }
     text = c.mistake.meaning.format(*c.numbers, **words)
     return f"{text} in {_runs(c.runs)}" if c.runs else text
@@ -352,9 +369,9 @@ def read_correction(text: str) -> Correction:
     known, rest = MISTAKES[words[0]], [w for w in words[1:] if w != "from"]
     count = 0 if known.whole_run else 2 if known.pair else 1
     columns = rest[:2] if known.pair else rest[:1][0].split(",") if count and rest else []
-    least, most = len(known.numbers) - known.since, len(known.numbers)
-    given = rest[count:]
-    if len(rest) < count or not least <= len(given) <= most or (known.whole_run and not runs):
+    most, given = len(known.numbers), rest[count:]
+    many = len(given) in (most, most - known.since, 0 if known.seen else most)
+    if len(rest) < count or not many or (known.whole_run and not runs):
         raise InputError(f"Correction {text!r} must read {usage(known)!r}.")
     unit, numbers = "", []
     for word in given:
@@ -369,6 +386,7 @@ def usage(known: Mistake) -> str:
     """Return the form of a text."""
     what = ["in RUNS"] if known.whole_run else ["COLUMN", "COLUMN"] if known.pair else ["COLUMN[,COLUMN]"]
     numbers = [known.numbers[0], "[from SAMPLE]"] if known.since else list(known.numbers)
+    numbers = [f"[{' '.join(numbers)}]"] if known.seen else numbers
     return " ".join([known.name, *what, *numbers, *([] if known.whole_run else ["[in RUNS]"])])
 
 

@@ -38,11 +38,6 @@ def run_of(columns, run):
     return columns["run"] == run
 
 
-def by_run(columns, function):
-    """Apply a function to the samples of each run."""
-    return np.concatenate([function(columns[run_of(columns, r)]) for r in (2, 3, 7)])
-
-
 # -- texts -------------------------------------------------------------------------------------------------
 
 NUMBER = st.floats(1e-6, 1e6).map(lambda v: float(f"{v:.6g}"))
@@ -127,6 +122,7 @@ WRONG = {
     "clipped x_ref_m -2 2": lambda d: {X: np.clip(d[X], -2, 2)},
     "clipped x_ref_m -inf 1 in 3": lambda d: {X: np.where(run_of(d, 3), np.minimum(d[X], 1), d[X])},
     "stuck hall_a_m 40 60 in 2": lambda d: {A: np.r_[d[A][:40], np.full(20, d[A][40]), d[A][60:]]},
+    "stuck hall_a_m": lambda d: {A: d[A][np.arange(3 * N) - 20 * (np.tile(np.arange(N), 3) // 20 == 3)]},
     "coarse_steps hall_a_m 0.25": lambda d: {},
     "copied_run in 7": lambda d: {c: np.where(run_of(d, 7), np.roll(d[c], N), d[c]) for c in (A, B, X)},
     "other_device in 3,7": lambda d: {A: np.where(run_of(d, 2), 1.0, 0.7) * d[A]},
@@ -137,6 +133,7 @@ LOST = {
     "clipped x_ref_m -2 2": lambda d: np.abs(d[X]) >= 2,
     "clipped x_ref_m -inf 1 in 3": lambda d: run_of(d, 3) & (d[X] >= 1),
     "stuck hall_a_m 40 60 in 2": lambda d: np.arange(3 * N) // 20 == 2,
+    "stuck hall_a_m": lambda d: np.tile(np.arange(N), 3) // 20 == 3,
     "copied_run in 7": lambda d: run_of(d, 7),
     "other_device in 3,7": lambda d: ~run_of(d, 2),
 }

@@ -44,6 +44,8 @@ def test_rates_of_mistakes() -> None:
     [
         ("reading of 3 bits, run", "stage31", "2926.0"),  # few values in a run: not stuck
         ("reading stuck, few", "stage30", "2940.0"),  # at a rail a reading is expected beyond it
+        ("blocks of readings repeated, log", "rotary", "3612.0"),  # samples of an earlier time, in each run
+        ("reading stuck at its extreme, run", "stage31", "3612.0"),  # no rail: it is expected below
         ("sign of a reference, few", "chip", "2940.0"),  # a phase has no more variance than its turn
         ("another device, few", "halbach", "2940.0"),  # gains of its own, which the model has not
         ("another device, few", "stage31", "2966.0"),  # a parameter is at its bound
