@@ -642,27 +642,13 @@ def _of_some_runs(trials: Trials, base: Tried) -> list[Found]:
     if not explained and (odd := min(few, key=len, default=())):
         return [Found(Correction("other_device", runs=odd), 0.0)]
     found = min(explained, key=lambda one: one[:2], default=(0, 0.0, []))[2]
-    alone = [
-        one.correction for *_, some in explained for one in some if one.correction.kind == "other_device"
-    ]
-    return [_among(divided, one, alone) if one.correction in alone else one for one in found]
-
-
-def _among(divided: Mapping[tuple[int, ...], Tried], found: Found, explained: Sequence[Correction]) -> Found:
-    """Return another device with its rivals: those that are `explained` too, each of which explains the log.
-
-    And no more runs, without which the others agree as well.
-    """
-    c = found.correction
-    rivals = tuple(
-        other
-        for odd, agreed in divided.items()
-        if (other := c.in_runs(odd)) != c
-        and (other in explained or (len(odd) <= len(c.runs)
-             and agreed.mean(agreed.left) - divided[c.runs].mean(divided[c.runs].left)
-             < _close(agreed, [*agreed.left], agreed.mean(agreed.left))))
-    )  # fmt: skip
-    return replace(found, rivals=rivals, single=not rivals)
+    every = (one.correction for *_, some in explained for one in some)
+    devices = [c for c in every if c.kind == "other_device"]  # it may be each of these
+    return [
+        replace(one, rivals=tuple(c for c in devices if c != one.correction), single=len(devices) == 1)
+        if one.correction in devices else one
+        for one in found
+    ]  # fmt: skip
 
 
 def _excess(tried: Tried) -> float:
@@ -1183,7 +1169,7 @@ def _coarse(trials: Trials, runs: Sequence[int]) -> Iterator[Correction]:
     some = np.isin(trials.run, list(runs))
     for c in filter(is_moving, trials.columns):
         values = np.unique(trials.full[c][some])
-        step = _step_between(values) if 1 < len(values) < some.sum() / AGAIN else None
+        step = _step_between(values) if len(values) < some.sum() / AGAIN else None
         if step is not None and step > trials.noise[c].value:
             yield Correction("coarse_steps", (c,), (step,))
 
