@@ -480,7 +480,7 @@ def fit_of(
         ),
         notes=(
             *solved.notes,
-            *left_out(task.log.rows, state.everything),
+            *(left_out(task.log.rows, state.everything) if solved.keep else ()),
             *zero_notes(model, tuple(offsets), delta),
             *(home_notes(task.log, model, offsets) if errors else ()),
         ),
