@@ -2,7 +2,7 @@
 
 Noise: each parameter collects the noise at the frequencies of its own column. The covariance is the sandwich
 (H. White, Econometrica 50 (1982) 1, doi:10.2307/1912526) of the information and of the covariance of the
-score: products of the columns by octave of frequency, times the variance of the residual there. White noise
+score: products of the columns by thirds of an octave, times the variance of the noise there. White noise
 leaves the inverse of the information.
 
 The scatter between runs: bias-reduced linearisation, CR2 (R. M. Bell and D. F. McCaffrey, Survey Methodology
@@ -44,11 +44,14 @@ from hallsym.model.model import combination, linear
 
 ALONE = 1e-3
 """1 - leverage below which a run determines a direction alone: its score does not show its error there."""
+BANDS = 3
+"""Bands of an octave: across one the power of a random walk changes 1.6 times, across an octave 4 times."""
 STEEP, BEND = 2 * np.log(2.0), np.log(2.0)
 """Change of the logarithm of the power of noise from octave to octave, that of a random walk, and the change
 of that slope: white noise becomes 1/f noise within an octave."""
-PARTS, STEPS = (0.01, 0.03, 0.1, 0.3, 1.0), 30
-"""Parts of that change that are tried, and steps of each, which raise a logarithm by at most 1."""
+PARTS, STEPS = (0.03, 0.3), 30
+"""Parts of `BEND` that are tried, a power of frequency and a gradual bend (with 1, unseen octaves of a random
+walk were anything), and steps of each, which change a logarithm by at most 1."""
 WHITE, CHANCE = 1.2, 0.05
 """Ratio of the variances of noise in two octaves that must be seen before it counts as white, since it makes
 a standard uncertainty a tenth too small; and the probability that white noise does not count as white."""
@@ -60,11 +63,10 @@ ENTRIES = 500_000
 
 @dataclass(frozen=True, eq=False)
 class Octaves:
-    """Products of whitened columns by octave of frequency, the offsets of each run eliminated.
+    """Products of whitened columns by bands of a third of an octave, the offsets of each run eliminated.
 
-    `products`: (octaves, c, c) of the parameters' columns and the residual, which is last. `values`:
-    (octaves,) how many values the residual has there, those that offsets take not counted. The slowest octave
-    is the last.
+    `products`: (bands, c, c) of the parameters' columns and the residual, which is last. `values`: (bands,)
+    how many values the residual has there, those that offsets take not counted. The slowest band is the last.
     """
 
     products: np.ndarray
@@ -75,14 +77,24 @@ class Octaves:
         """Return those of some logs, each in pieces with the columns (offsets + c, K, samples) of each.
 
         A run that continues in the next piece is taken in parts. Where the columns are the residual alone,
-        its `offsets` have taken their values from the mean.
+        its `offsets` have taken their values from the mean. Means without offsets are waves across runs, one
+        after the other: noise slower than a run goes on in the next one.
         """
         sums, counts = dict[int, np.ndarray](), dict[int, float]()
+        means, lengths = list[np.ndarray](), list[int]()
 
-        def add(octave: np.ndarray, products: np.ndarray, values: np.ndarray) -> None:
-            for o, more, count in zip(octave.tolist(), products, values.tolist(), strict=True):
+        def add(band: np.ndarray, products: np.ndarray, values: np.ndarray) -> None:
+            for o, more, count in zip(band.tolist(), products, values.tolist(), strict=True):
                 sums[o] = sums.get(o, 0.0) + more
                 counts[o] = counts.get(o, 0.0) + count
+
+        def across() -> None:
+            if means:
+                waves = dct(np.concatenate(means), axis=0, norm="ortho").transpose(1, 2, 0)
+                band, products, values = _in_bands(waves[None], float(np.sum(lengths)))
+                add(band, products[0], values)
+                means.clear()
+                lengths.clear()
 
         def eliminated(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
             whole = sum(products.sum(axis=1) for _, products, _ in parts)
@@ -90,17 +102,23 @@ class Octaves:
             rest = np.tile(np.eye(follow.shape[2]), (len(follow), 1, 1))
             along = np.concatenate([follow, rest], axis=1)[:, None]
             own = pseudo_inverse(whole[:, :offsets, :offsets])
-            for octave, products, values in parts:
+            for band, products, values in parts:
                 taken = np.einsum("rij,roji->ro", own, products[:, :, :offsets, :offsets])
                 left = (along.swapaxes(2, 3) @ products @ along).sum(axis=0)
-                add(octave, left, (values - taken).sum(axis=0))
+                add(band, left, (values - taken).sum(axis=0))
 
         for pieces in logs:
             run, parts = None, list[tuple[np.ndarray, np.ndarray, np.ndarray]]()  # of what may go on
-            for runs, octave, products, values in (one for own in pieces for one in _by_octave(*own)):
+            for runs, waves in (one for own in pieces for one in _waves(*own)):
+                if not offsets:
+                    means.append(waves[..., 0])
+                    lengths.extend([waves.shape[-1]] * len(runs))
+                    if sum(map(np.size, means)) > ENTRIES:
+                        across()
+                band, products, values = _in_bands(waves, waves.shape[-1], 0 if offsets else 1)
                 if products.shape[2] == 1 or not offsets:
-                    mean = np.arange(len(octave)) == 0
-                    add(octave, products.sum(axis=0), len(runs) * (values - offsets * mean))
+                    taken = offsets * (np.arange(len(band)) == 0)
+                    add(band, products.sum(axis=0), len(runs) * (values - taken))
                     continue
                 first = np.flatnonzero([a != b for a, b in pairwise((None, *runs))])
                 products = np.add.reduceat(products, first)
@@ -112,15 +130,17 @@ class Octaves:
                         parts = []
                     if own:
                         run = own[-1]
-                        parts.append((octave, products[part], values[part]))
+                        parts.append((band, products[part], values[part]))
             if parts:
                 eliminated(parts)
-        order = sorted(sums)
-        return Octaves(*(np.array([known[o] for o in order]) for known in (sums, counts)))
+            across()
+        order, none = range(min(sums), max(sums) + 1), np.zeros_like(next(iter(sums.values())))
+        return Octaves(*(np.array([known.get(o, of) for o in order])
+                         for known, of in ((sums, none), (counts, 0.0))))  # fmt: skip
 
     @property
     def white(self) -> bool:
-        """Whether the variances of the residual in all octaves are certainly equal, within about `WHITE`.
+        """Whether the variances of the residual in all bands are certainly equal, within about `WHITE`.
 
         All are estimated as well as that, and differ no more than by chance (likelihood ratio).
         """
@@ -134,44 +154,57 @@ class Octaves:
     @property
     def said(self) -> str:
         """How far the residual is from white noise."""
-        power, _ = self.power(self.values)
-        return f"the variance of the residual differs {power.max() / power.min():.1f} x between octaves"
+        power, _ = self.spectrum
+        return f"the variance of the noise differs {power.max() / power.min():.1f} x between octaves"
 
-    def power(self, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the variance of the noise in each octave and its degrees of freedom, (octaves,).
+    @cached_property
+    def spectrum(self) -> tuple[np.ndarray, np.ndarray]:
+        """The variance of the noise in each band, (b,), and the covariance of its logarithm, (b, b).
 
-        `left`: (octaves,) values of the residual that parameters do not take. The logarithm of the variance
-        is likeliest (P. Whittle, Bull. Int. Stat. Inst. 39 (1962) 105) with differences of `STEEP` and
-        `BEND`: of the slowest octaves parameters leave little or nothing, and they continue the slope of the
-        faster ones. The part of both that is most likely counts: none for white noise, whose variance all
-        octaves tell together.
+        By the restricted likelihood (H. D. Patterson and R. Thompson, Biometrika 58 (1971) 545,
+        doi:10.1093/biomet/58.3.545): parameters take what lies along their columns, mostly at slow bands,
+        and the residual does not show it. The logarithm is smooth with slopes of `STEEP` and parts of `BEND`,
+        each part as far as it is likely: bands without values continue the slope of the faster ones.
         """
-        seen = np.maximum(left, 1e-3)
-        power = self.products[:, -1, -1] / seen
-        slope, bend = (np.diff(np.eye(len(seen)), k, axis=0) for k in (1, 2))
-        prior = slope.T @ slope / STEEP**2 + bend.T @ bend / BEND**2
-        weight = np.where(seen > 1.0, 0.5 * seen, 0.0)
-        start = np.log(max(float(weight @ power), 1e-300) / max(float(weight.sum()), 1e-300))
+        squares, values, count = self.products[:, -1, -1], self.values, len(self.values)
+        root = _roots(self.products[:, :-1, :-1].sum(axis=0))
+        level = max(squares.sum(), 1e-300) / max(values.sum() - root.shape[1], 1.0)
+        K = root.T @ self.products[:, :-1, :-1] @ root
+        squares, along = squares / level, self.products[:, :-1, -1] @ root / np.sqrt(level)
+        slope, bend = (np.diff(np.eye(count), k, axis=0) * BANDS ** (k - 0.5) for k in (1, 2))
 
-        part = np.array(PARTS)[:, None]
-        total = np.diag(weight) + prior / part[:, :, None] ** 2
-        covariance, found = pseudo_inverse(total), np.full((len(part), len(seen)), start)
-        for _ in range(STEPS):  # Fisher's scoring
-            score = weight * (np.minimum(power * np.exp(-found), 2.0) - 1.0) - found @ prior / part**2
-            found = found + (covariance @ score[:, :, None])[:, :, 0]
-        lost = np.sum(found @ prior * found / part**2, axis=1) + 2 * (found + power * np.exp(-found)) @ weight
-        gained = -lost - np.linalg.slogdet(total)[1] - 2 * (len(seen) - 1) * np.log(PARTS)
-        best = int(np.argmax(gained))
-        return np.exp(found[best]), 2.0 / np.diag(covariance[best])
+        def at(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+            """Gradient and information of the restricted log-likelihood, and -2 times its value."""
+            weight = np.exp(-x)
+            H = np.tensordot(weight, K, 1)
+            inverse = np.linalg.inv(H)
+            moved = inverse @ (weight @ along)
+            left = weight * (squares - 2.0 * along @ moved + K @ moved @ moved)
+            share = (inverse @ K) * weight[:, None, None]
+            taken = np.trace(share, axis1=1, axis2=2)
+            both = share.reshape(count, -1) @ share.swapaxes(1, 2).reshape(count, -1).T
+            known = 0.5 * (np.diag(np.maximum(values - 2.0 * taken, 0.0)) + both)
+            lost = float(values @ x + left.sum() + np.linalg.slogdet(H)[1])
+            return 0.5 * (left + taken - values), known, lost
 
-    def scores(self, inverse: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the covariance of the score by octave, (o, p, p), and its degrees of freedom, (o,).
-
-        `inverse`: (p, p) of the information, by which the parameters take their part of the residual.
-        """
-        known = self.products[:, :-1, :-1]
-        power, dof = self.power(self.values - np.einsum("ij,oji->o", inverse, known))
-        return known * power[:, None, None], dof
+        x, found = np.zeros(count), list[tuple[float, np.ndarray, np.ndarray]]()
+        for part in PARTS:
+            prior = slope.T @ slope / STEEP**2 + bend.T @ bend / (part * BEND) ** 2
+            for _ in range(STEPS):  # Fisher's scoring
+                gradient, known, lost = at(x)
+                step = np.linalg.solve(known + prior, gradient - prior @ x)
+                x = x + step / max(1.0, np.abs(step).max())
+                if np.abs(step).max() < 1e-3:
+                    break
+            sizes = np.linalg.eigvalsh(prior)[1:], np.linalg.eigvalsh(known + prior)
+            gained = np.log(sizes[0]).sum() - np.log(sizes[1]).sum() - lost - x @ prior @ x
+            found.append((0.5 * gained, x, np.linalg.inv(known + prior)))
+        gains, each, within = (np.array(v) for v in zip(*found, strict=True))
+        likely = np.exp(gains - gains.max())
+        likely /= likely.sum()
+        mean = likely @ each
+        between = (likely * (each - mean).T) @ (each - mean)
+        return level * np.exp(mean), np.tensordot(likely, within, 1) + between
 
     def reduced(self, basis: np.ndarray) -> "Octaves":
         """Return those of other parameters q, of which those of the columns are basis (p, q) times q."""
@@ -180,32 +213,49 @@ class Octaves:
         return Octaves(wide.T @ self.products @ wide, self.values)
 
 
-def _by_octave(
-    batch: Batch, columns: np.ndarray
-) -> Iterator[tuple[tuple[int, ...], np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield of b blocks of one length the runs, octaves, products (b, octaves, c, c) and numbers of values.
+def _waves(batch: Batch, columns: np.ndarray) -> Iterator[tuple[tuple[int, ...], np.ndarray]]:
+    """Yield of b blocks of one length the runs and the cosines of the `columns`, (b, K, c, samples).
 
-    `columns`: (c, K, samples). Octave o: periods of 2^o to 2^(o + 1) samples. By cosines, which are nearly
-    uncorrelated for slow noise too: a block of a random walk ends elsewhere than it begins.
+    `columns`: (c, K, samples). Cosines are nearly uncorrelated for slow noise too: a block of a random walk
+    ends elsewhere than it begins.
     """
     lengths, (c, K) = np.diff(batch.edges), columns.shape[:2]
     cuts = [0, *(np.flatnonzero(np.diff(lengths)) + 1).tolist(), len(lengths)]
     for first, last in pairwise(cuts):
         n = int(lengths[first])
         here = columns[..., batch.edges[first] : batch.edges[last]].reshape(c, K, last - first, n)
-        octave, ends = _octaves_of(n)
-        waves = dct(here, norm="ortho").transpose(2, 1, 0, 3)
-        own = (waves[..., a:b] for a, b in pairwise(ends))
-        products = np.stack([(part @ part.swapaxes(2, 3)).sum(axis=1) for part in own], axis=1)
-        yield batch.runs[first:last], octave, products, K * np.diff(ends).astype(float)
+        yield batch.runs[first:last], dct(here, norm="ortho").transpose(2, 1, 0, 3)
+
+
+def _in_bands(waves: np.ndarray, span: float, first: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return bands, products (b, bands, c, c) and numbers of values of cosines (b, K, c, n) from `first`."""
+    b, K, c, n = waves.shape
+    band, ends = _bands_of(n, span, first)
+    products = np.empty((b, len(band), c, c))
+    for k, (start, end) in enumerate(pairwise(ends)):
+        part = waves[..., start:end]
+        products[:, k] = (part @ part.swapaxes(2, 3)).sum(axis=1)
+    return band, products, K * np.diff(ends).astype(float)
 
 
 @cache
-def _octaves_of(n: int) -> tuple[np.ndarray, list[int]]:
-    """Return the octaves of n cosines, and where they begin among these, with the end of the last."""
-    octave = np.log2(2 * n / np.maximum(np.arange(n), 0.5)).astype(int)
-    first = np.flatnonzero(np.diff(octave, prepend=-1))
-    return octave[first], [*first.tolist(), n]
+def _bands_of(n: int, span: float, first: int) -> tuple[np.ndarray, list[int]]:
+    """Return the bands of n cosines from the `first`, and where they begin among these, with the end.
+
+    Cosine j has a period of 2 `span` / j samples, the mean one of 4 `span`. Band o: periods of
+    2^(o / `BANDS`) to 2^((o + 1) / `BANDS`) samples.
+    """
+    band = np.floor(BANDS * np.log2(2 * span / np.maximum(np.arange(first, n), 0.5))).astype(int)
+    begin = np.flatnonzero(np.diff(band, prepend=-1))
+    return band[begin], [*(first + begin).tolist(), n]
+
+
+def _roots(information: np.ndarray) -> np.ndarray:
+    """Return K (p, n) with K^T `information` K = 1, of the n directions that it determines."""
+    unit = unit_scale(information)
+    values, axes = np.linalg.eigh(information * np.outer(unit, unit))
+    some = values > SINGULAR * values.max(initial=0.0)
+    return np.asarray(unit[:, None] * axes[:, some] / np.sqrt(values[some]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,11 +278,7 @@ class RunScatter:
         `runs`: (r, p, p) information, overwritten. `scores`: (r, p). `noise`: (p, p) covariance of the sum of
         the scores by noise, None where it is the information.
         """
-        information = runs.sum(axis=0)
-        unit = unit_scale(information)
-        values, axes = np.linalg.eigh(information * np.outer(unit, unit))
-        some = values > SINGULAR * values.max(initial=0.0)
-        K = unit[:, None] * axes[:, some] / np.sqrt(values[some])
+        K = _roots(runs.sum(axis=0))
         by_noise = np.eye(K.shape[1]) if noise is None else K.T @ noise @ K
         return RunScatter(K, K.T @ runs @ K, scores @ K, by_noise)
 
@@ -584,7 +630,8 @@ def estimated(
     dof: Callable[[np.ndarray], np.ndarray] = white.freedom
     if octaves is not None:
         inverse = pseudo_inverse(information)
-        each, left = octaves.scores(inverse)
+        power, of_power = octaves.spectrum
+        each = octaves.products[:, :-1, :-1] * power[:, None, None]
         noise, kind, scale, size = each.sum(axis=0), "noise of this spectrum", 1.0, 1.0
         if more is not None:  # what the spectrum makes of white noise, it makes of noise that varies too
             root, varying = _root(information), _root(information + more)
@@ -595,7 +642,8 @@ def estimated(
         def of_octaves(gradients: np.ndarray) -> np.ndarray:
             along = gradients @ inverse
             shares = np.einsum("mi,oij,mj->mo", along, each, along)
-            return shares.sum(axis=1) ** 2 / np.maximum((shares**2 / left).sum(axis=1), 1e-300)
+            spread = np.einsum("mo,op,mp->m", shares, of_power, shares)
+            return 2.0 * shares.sum(axis=1) ** 2 / np.maximum(spread, 1e-300)
 
         dof = of_octaves
     noise = noise if more is None else noise + more

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 from twins import HALL, SIGMAS, campaign, cost_on, true_model, truth_of, with_noise
 
 from hallsym.estimation.calibration import coverage_factor
-from hallsym.estimation.covariance import Octaves, RunScatter, uncertainty
+from hallsym.estimation.covariance import Octaves, RunScatter, White, estimated, uncertainty
 from hallsym.estimation.identifiable import determine
 from hallsym.estimation.optimum import refit
 from hallsym.log.batches import Batch
@@ -84,11 +84,11 @@ def test_slow_octaves_have_the_power_of_an_autoregression(memory):
     noise -= np.repeat(noise.reshape(1, 2, runs, n).mean(axis=3), n, axis=2)
     batch = Batch(tuple(range(runs)), {}, tuple(range(0, runs * n + 1, n)))
     octaves = Octaves.of([(batch, noise)], offsets=2)
-    power, dof = octaves.power(octaves.values)
+    power, of_power = octaves.spectrum
     assert octaves.white == (memory == 0.0)
     assert octaves.values.sum() == 2 * runs * (n - 1)
-    assert power[-3:] == pytest.approx([(1 + memory) / (1 - memory)] * 3, rel=0.15)
-    assert dof[:-1].min() > 100  # offsets take the mean
+    assert power[-9:] == pytest.approx([(1 + memory) / (1 - memory)] * 9, rel=0.15)
+    assert of_power.diagonal()[:-3].max() < 2 / 100  # of 100 degrees of freedom; offsets take the mean
 
 
 # -- coverage -----------------------------------------------------------------------------------------------
@@ -124,6 +124,37 @@ def coverage(name: str, runs, kind: str, logs: int) -> float:
         half = coverage_factor(told.degrees_of_freedom) * told.std
         hits.append((np.abs(p - model.nominal) <= half)[told.determined])
     return float(np.mean(np.concatenate(hits)))
+
+
+def slow_noise(rng: np.random.Generator, n: int, slope: int) -> np.ndarray:
+    """White noise, 1/f noise that began long before, or a random walk from 0: power as f^-slope."""
+    white = rng.standard_normal(n if slope != 1 else 16 * n)
+    if slope != 1:
+        return np.cumsum(white) if slope else white
+    f = np.fft.rfftfreq(len(white))
+    f[0] = np.inf
+    return np.fft.irfft(np.fft.rfft(white) / np.sqrt(f), len(white))[:n]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("slope", [0, 1, 2])
+@pytest.mark.parametrize("runs", [1, 5])
+def test_intervals_cover_in_noise_that_goes_on_from_run_to_run(runs, slope):
+    """Offset and both amplitudes of four turns a run: 95 % +- 5 %, 300 logs tell each to 1.3 %."""
+    rng, n, hits = np.random.default_rng(6), 500, []
+    angle = 2 * np.pi * 4 * (np.arange(n) + 0.5) / n
+    one = np.stack([np.ones(n), np.cos(angle), np.sin(angle)])
+    A, batch = np.tile(one, runs), Batch(tuple(range(runs)), {}, tuple(range(0, runs * n + 1, n)))
+    for _ in range(300):
+        noise = slow_noise(rng, runs * n, slope)
+        error = np.linalg.solve(A @ A.T, A @ noise)
+        residual = noise - error @ A
+        octaves = Octaves.of([(batch, np.vstack([A, residual])[:, None])])
+        scores = residual.reshape(runs, n) @ one.T
+        found = estimated(np.tile(one @ one.T, (runs, 1, 1)), scores, White(1.0, 1.0), octaves)
+        half = coverage_factor(found.dof(np.eye(3))) * np.sqrt(np.diag(found.covariance))
+        hits.append(np.abs(error) <= half)
+    assert np.mean(hits, axis=0) == pytest.approx([0.95] * 3, abs=0.05)
 
 
 MODELS = {"57 runs": "stage31", "12 runs": "stage30", "6 runs": "stage30"}
