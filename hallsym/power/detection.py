@@ -7,7 +7,7 @@ simulated log is diagnosed as the real one would be, many times.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from itertools import takewhile
 from time import perf_counter
@@ -24,7 +24,7 @@ from hallsym.families.faults import FAULTS
 from hallsym.log import Log
 from hallsym.model import Effect, Model
 from hallsym.power.injection import Injection, generator, injections, sized
-from hallsym.power.simulated_machine import decimated, machine_of, simulated_noise
+from hallsym.power.simulated_machine import machine_of, on_part, simulated_noise
 from hallsym.records import builtins
 from hallsym.shown import Shown
 
@@ -35,7 +35,7 @@ RATIOS = (1.07, 1.3, 2.0)
 REPEATS = 20
 """Trials of each size: if all find it, it is found in at least 83 % (two-sided 95 %)."""
 ROWS = 30_000
-"""Samples to which a longer log is decimated: the fifth that is holdout gives a gap metric to 1 %."""
+"""Samples of the part of a longer log: the fifth that is holdout gives a gap metric to 1 %."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,6 @@ class DetectionPower(Shown):
     repeats: int
     seed: int
     noise: str
-    thinning: str
     rows: int
     model: str
     outputs: tuple[str, ...]
@@ -162,12 +161,11 @@ class Bench:
 
     def __init__(self, setup: Setup, own: tuple[Effect, ...], seed: int, rows: int) -> None:
         self.setup, self.own, self.seed = setup, own, seed
-        setup.say("decimating the log")
-        log, self.decimation = decimated(setup.base, rows)
-        base = replace(setup.base, log=log, keep=None)
         setup.say("modelling the noise")
+        base = on_part(setup.base, rows)
+        runs = [run for run in base.log.runs if run not in base.holdout]
         stated = frozenset(c for c, known in setup.fit.noise.sigmas.items() if known.source == "given")
-        self.noise = simulated_noise(base, setup.runs, setup.floor.uncertain == 1.0)
+        self.noise = simulated_noise(base, runs, setup.floor.uncertain == 1.0)
         self.truth = machine_of(base, setup.floor.metric * self.noise.ratio, stated)
         self.reasons: dict[str, str] = {}
         self.injections = lru_cache(1)(self._injections)
@@ -212,8 +210,7 @@ class Bench:
         setup = self.setup
         try:
             found = diagnose(
-                log, setup.fit.model, holdout=setup.holdout, effects=self.own, threshold=setup.threshold,
-                policy=setup.policy,
+                log, setup.fit.model, effects=self.own, threshold=setup.threshold, policy=setup.policy,
             )  # fmt: skip
         except InputError:
             return "refused", "refused", ()
@@ -273,9 +270,10 @@ def detection_power(
     """Return which effects a diagnosis of `log` would find, and above which size.
 
     `names`: effects and faults to try (default: all). `ratios`: gap over noise floor of the sizes, above 1.
-    `repeats`: trials of each size, with other signs, instants and noise. `rows`: samples to decimate the log
-    to. `model`, `holdout`, `effects`, `threshold` as in `diagnose`. The largest size of every effect is tried
-    first; a keyboard interrupt ends it early and returns the trials so far with `complete` False.
+    `repeats`: trials of each size, with other signs, instants and noise. `rows`: samples of a longer log that
+    are used, in stretches at the full rate. `model`, `holdout`, `effects`, `threshold` as in `diagnose`. The
+    largest size of every effect is tried first; a keyboard interrupt ends it early and returns the trials so
+    far with `complete` False.
 
     Raises `InputError` for an unknown name, a ratio not above 1, and wherever `diagnose` does.
     """
@@ -311,7 +309,6 @@ def detection_power(
         repeats=repeats,
         seed=seed,
         noise=bench.noise.text,
-        thinning=bench.decimation,
         rows=bench.truth.base.log.rows,
         model=setup.fit.model.name,
         outputs=setup.fit.model.pose,

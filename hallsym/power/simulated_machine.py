@@ -5,7 +5,6 @@ the size and autocorrelation of the residual of the fit (`noise_of_rest`), in th
 reference. The simulated logs state the noise that the log states.
 """
 
-from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -16,13 +15,12 @@ from hallsym.diagnosis.normal_equations import coefficients, normal_equations
 from hallsym.diagnosis.residual_table import at_rest
 from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.setup import of_recording
-from hallsym.diagnosis.survey import SEGMENT, noise_of_rest
+from hallsym.diagnosis.survey import noise_of_rest
 from hallsym.diagnosis.words import noise_text
 from hallsym.estimation.goodness_of_fit import SETTLE, autoregressive
 from hallsym.families.faults import Recording
-from hallsym.families.mechanisms import MAINS_HZ, MAINS_REACH_HZ
 from hallsym.log import Log, Noise, Sigma
-from hallsym.log.quality.scan import FEWEST_SAMPLES
+from hallsym.log.part import part_of
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 
@@ -66,80 +64,27 @@ class SimulatedMachine:
         return float(np.sqrt(max(v @ M @ v, 0.0))), float(np.sqrt(max(M[-1, -1], 0.0)))
 
 
-def decimated(base: Base, rows: int) -> tuple[Log, str]:
-    """Return about `rows` samples of `base.log`, without those that the fit left out.
+def on_part(base: Base, rows: int) -> Base:
+    """Return `base` on about `rows` samples of its log, without those that the fit left out.
 
-    The log is decimated as far as motion and mains stay resolved, then ends of long runs are cut. The text
-    states what was left out, "" for nothing.
+    Of a longer log they are stretches at the full rate (`part_of`), each a run of its own: what is computed
+    of neighbouring samples does not go on from one to the next.
     """
-    log, every = base.log, _spacing(base, rows)
-    long = log.rows > rows * every
-    most = max(rows * every // len(log.runs), SEGMENT * every) if long else log.rows
-    said = [f"every {every}. sample"] if every > 1 else []
-    if long:
-        said.append(f"the first {most} samples of each run")
-    text, seen = " of ".join(said), Counter[int]()
-    if not said and base.keep is None:
-        return log, text
-    parts: dict[str, list[np.ndarray]] = {c: [] for c in log.columns}
-    for block in log.blocks():
-        n = len(block.data["t_s"])
-        index = seen[block.run] + np.arange(n)
-        seen[block.run] += n
-        keep = (index % every == 0) & (index < most)
-        if base.keep is not None:
-            keep &= base.keep(block) > 0
-        for column in log.columns:
-            values = np.full(n, block.run) if column == "run" else block.data[column]
-            parts[column].append(values[keep])
-    # one column at a time is twice in memory
-    columns = {c: np.concatenate(parts.pop(c)) for c in log.columns}
-    return Log.from_arrays(columns, log.noise, log.meta, log.name), text
-
-
-PER_PERIOD = 12
-"""Samples per period of the fastest motion that a decimated log keeps."""
-
-
-def _spacing(base: Base, rows: int) -> int:
-    """Return the decimation that leaves about `rows`, or less of one if motion or mains need it."""
-    known, every = 1, -(-base.log.rows // rows)
-    beyond = every + 1
-    while beyond - known > 1:
-        known, beyond = (every, beyond) if _resolved(base, every) else (known, every)
-        every = (known + beyond) // 2
-    return known
-
-
-def _resolved(base: Base, every: int) -> bool:
-    """Return whether a decimation resolves the motion, its turns, and the mains.
-
-    A sine of `PER_PERIOD` samples a period has second differences of (2 sin(pi / PER_PERIOD))^2 of itself;
-    six times the variance of the noise is in them too.
-    """
-    model, step, count = base.model, list[float](), 0
-    moved, bent, stepped = np.zeros((3, len(model.pose)))
-    period = np.array([model.period.get(c, np.inf) for c in model.pose])
-    for block in base.log.blocks(("t_s", *model.references), 1 << 16):
-        t, x = block.data["t_s"][::every], np.array([block.data[c] for c in model.references])
-        if len(t) < FEWEST_SAMPLES:
-            continue
-        x = np.array([v if np.isinf(p) else np.unwrap(v, period=p) for v, p in zip(x, period, strict=True)])
-        stepped += (np.diff(x) ** 2).mean(axis=1) * len(t)  # at the full rate, where no turn is lost
-        x = x[:, ::every]
-        step.append(float(np.median(np.diff(t))))
-        moved += x.var(axis=1) * len(t)
-        bent += (np.diff(x, 2) ** 2).sum(axis=1) * len(t) / (len(t) - 2)
-        count += len(t)
-    if not count:
-        return False
-    noise = np.array([base.sigma.get(c, 0.0) ** 2 for c in model.references])
-    weights = base.pose_weights**2
-    most = (2 * np.sin(np.pi / PER_PERIOD)) ** 4
-    return bool(
-        weights @ (bent / count - 6 * noise) <= most * (weights @ (moved / count - noise).clip(0.0))
-        and (every * np.sqrt((stepped / count - 2 * noise).clip(0.0)) * PER_PERIOD <= period).all()
-        and 2 * (MAINS_HZ[-1] + MAINS_REACH_HZ) * np.median(step) <= 1
+    log, cut = base.log, base.log.rows > rows
+    if not cut and base.keep is None:
+        return base
+    blocks = list((part_of(log, rows, 0) if cut else log).blocks())
+    runs = [k if cut else block.run for k, block in enumerate(blocks)]
+    used = [slice(None) if base.keep is None else base.keep(block) > 0 for block in blocks]
+    parts = [{**b.data, "run": np.full(len(b.data["t_s"]), k)} for k, b in zip(runs, blocks, strict=True)]
+    columns = {c: np.concatenate([p[c][u] for p, u in zip(parts, used, strict=True)]) for c in log.columns}
+    logged = dict(zip(runs, (block.run for block in blocks), strict=True))
+    return replace(
+        base,
+        log=Log.from_arrays(columns, log.noise, log.meta, log.name),
+        keep=None,
+        offsets={k: base.offsets_in(run) for k, run in logged.items()},
+        holdout=frozenset(k for k, run in logged.items() if run in base.holdout),
     )
 
 

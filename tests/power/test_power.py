@@ -7,7 +7,6 @@ from functools import cache
 import numpy as np
 import pytest
 from gap_twins import Inject, U, add, gains, machine
-from twins import simulated
 
 import hallsym
 from hallsym.cli.main import main
@@ -19,10 +18,15 @@ from hallsym.log import Log, Noise
 from hallsym.power import DetectionPower, detection_power
 from hallsym.power.detection import NO_EFFECT, RATIOS, Bench, curve_point
 from hallsym.power.injection import Injection, generator, injections, sized
-from hallsym.power.simulated_machine import SimulatedMachine, decimated, machine_of, simulated_noise
+from hallsym.power.simulated_machine import (
+    SimulatedMachine,
+    machine_of,
+    on_part,
+    readings_of,
+    simulated_noise,
+)
 from hallsym.report.content import printed
 from hallsym.report.results.power import power_content
-from hallsym.simulation import Campaign, Run
 
 CATALOGUE = tuple(e for e in effects(STAGE_FAMILY).values() if e.diagnosed)
 FLOOR = 1.4e-6
@@ -130,18 +134,22 @@ def test_the_true_motion_is_smooth_and_an_axis_at_rest_rests() -> None:
     assert np.std(logged - true) == pytest.approx(0.3e-6, rel=0.3)
 
 
-# -- thinning ----------------------------------------------------------------------------------------------
+# -- a long log -------------------------------------------------------------------------------------------
 
 
-def test_a_shaft_that_turns_steadily_keeps_twelve_samples_a_turn() -> None:
-    """Its motion has no frequency of its own: 3000 rpm at 10 kHz are 200 samples a turn."""
-    motion = [Run(0.2, {}, {"angle_rad": lambda t, w=w: w * t}) for w in (314.2, -314.2, 314.2)]
-    model, noise = hallsym.build("rotary"), {"v_sin_v": 1e-3, "v_cos_v": 1e-3}
-    log = simulated(model, {}, Campaign(1e-4, tuple(motion)), noise)
-    base = prepare(log, model).base
-    for rows in (100, log.rows // 200):  # the second would be one sample a turn, as of a shaft at rest
-        _, text = decimated(base, rows)
-        assert text.startswith(f"every {200 // 12}. sample of the first ")
+def test_a_part_is_stretches_at_the_full_rate_with_offsets_and_side_of_their_run() -> None:
+    base = base_on(machine("multisine", seed=3, thin=2, pink=0.0, curvature=0.0))
+    rows = base.log.rows // 3
+    part = on_part(base, rows)
+    assert part.log.rows == pytest.approx(rows, rel=0.3)
+    at = np.searchsorted(base.log.array("t_s"), part.log.array("t_s"))
+    logged, own = base.log.array("run")[at].astype(int), part.log.array("run").astype(int)
+    assert (np.diff(at)[np.diff(own) == 0] == 1).all()
+    for run, stretch in set(zip(logged.tolist(), own.tolist(), strict=True)):
+        assert (run in base.holdout) == (stretch in part.holdout)
+        assert part.offsets[stretch] == pytest.approx(base.offsets[run])
+    clean = readings_of(base, base.model, base.p)[:, at]
+    assert readings_of(part, part.model, part.p) == pytest.approx(clean, abs=1e-12)
 
 
 # -- trials ------------------------------------------------------------------------------------------------
@@ -266,7 +274,7 @@ def test_what_it_calls_findable_is_found() -> None:
 
 
 @pytest.mark.slow
-def test_thinning_does_not_change_the_answer() -> None:
+def test_a_part_does_not_change_the_answer() -> None:
     """Of sizes that are no chance with fewer samples either."""
     log = machine("raster", seed=41, thin=1)
     names, sizes = ["odd_nonlinearity", "time_skew"], RATIOS[1:2]

@@ -20,7 +20,7 @@ def power_content(s: DetectionPower) -> Content:
     seen = sum(e.status == "found" for e in tested)
     parts: list[Block | str] = [
         f"detection power of a diagnosis with {s.model}: {s.rows} samples"
-        + (f" ({s.thinning})" if s.thinning else "")
+        + (f" of {s.log['rows']}, in stretches at the full rate" if s.rows < s.log["rows"] else "")
         + f", noise floor {gap_text(s.floor_m, unit)}, threshold {100 * s.threshold:g} %, seed {s.seed}; "
         f"{s.seconds:.0f} s" + ("" if s.complete else "; INTERRUPTED, what was done:"),
         f"noise: {s.noise}",
