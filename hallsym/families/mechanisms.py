@@ -82,13 +82,14 @@ def add_terms(
     by_channel: bool = True,
     only: Sequence[str] | None = None,
     shared: bool = False,
+    own: Sequence[Parameter] = (),
 ) -> Model:
     """Return the model in which each value of `port` gains the sum of coefficient times term.
 
     `coefficients`: name -> meaning, one for each term, `{k}` standing for the label of the channel; they
     lie between -limit and limit, ordered by channel, else by term. `columns` are what the terms read,
     `only` the channels that have them (all by default). `shared`: all channels have the same coefficients,
-    whose names say `all` in place of a channel.
+    whose names say `all` in place of a channel. `own`: parameters of the terms.
     """
     labels = port.labels(model)
     used = labels if only is None else only
@@ -108,7 +109,7 @@ def add_terms(
                     values[k] = values[k] + term * p[name.format(k="all" if shared else label)]
         port.write(s, values)
 
-    return model.with_columns(*columns).with_step(link, step, effect=effect, parameters=tuple(new))
+    return model.with_columns(*columns).with_step(link, step, effect=effect, parameters=(*new, *own))
 
 
 def power(value: Any, n: int, unit: float) -> Any:
@@ -244,17 +245,24 @@ def saturation(unit: str, what: str, port: Port, separate: str) -> Effect:
 # -- functions of time, temperature and runs that gains and offsets follow ----------------------------------
 
 
+MAINS_HZ = (50.0, 60.0)
+"""Frequencies of the mains [Hz]."""
+MAINS_REACH_HZ = 4.0
+"""Distance from these within which hum is looked for [Hz]: EN 50160 allows 47 Hz, and a clock may be off."""
+
+
 class Functions(NamedTuple):
-    """Functions of data alone: what each is, their values, and the columns that they read."""
+    """Functions of data: what each is, their values, the columns and the `parameters` that they read."""
 
     meanings: Sequence[str]
-    values: Callable[[Signals], Sequence[ca.SX]]
+    values: Callable[[Signals, P], Sequence[ca.SX]]
     columns: Sequence[str | Computed] = ()
+    parameters: Sequence[Parameter] = ()
 
 
 def column(made: Computed, meaning: str) -> Functions:
     """Return a computed column as a function."""
-    return Functions([meaning], lambda s: [s[made.name]], [made])
+    return Functions([meaning], lambda s, p: [s[made.name]], [made])
 
 
 def following(
@@ -282,12 +290,12 @@ def following(
     coefficients = {n: f"{what} of {{k}} {f}" for n, f in zip(names, functions.meanings, strict=True)}
 
     def terms(s: Signals, p: P) -> Callable[[Any, int], Sequence[Any]]:
-        values = functions.values(s)
+        values = functions.values(s, p)
         return lambda value, k: [value * f for f in values] if gain else values
 
     return add_terms(
         model, effect, link, port, coefficients, terms, limit, unit, *functions.columns,
-        by_channel=by_channel, only=only, shared=shared,
+        by_channel=by_channel, only=only, shared=shared, own=functions.parameters,
     )  # fmt: skip
 
 
@@ -295,9 +303,11 @@ def over_time(duration_s: float, degree: int, settling_s: float | None) -> Funct
     """Return exp(-t / settling_s), or Legendre polynomials of campaign time of degree 1 to `degree`."""
     time = campaign_time()
     if settling_s is not None:
-        return Functions(["at the start, settling"], lambda s: [ca.exp(-s[time.name] / settling_s)], [time])
+        return Functions(
+            ["at the start, settling"], lambda s, p: [ca.exp(-s[time.name] / settling_s)], [time]
+        )
 
-    def legendre(s: Signals) -> list[ca.SX]:
+    def legendre(s: Signals, p: P) -> list[ca.SX]:
         x = 2 * s[time.name] / duration_s - 1
         return [x, (3 * x**2 - 1) / 2, (5 * x**3 - 3 * x) / 2][:degree]
 
@@ -307,7 +317,7 @@ def over_time(duration_s: float, degree: int, settling_s: float | None) -> Funct
 def with_temperature(mean_degc: float) -> Functions:
     """Return the logged temperature above its mean."""
     name = "temperature_degc"
-    return Functions(["per degC"], lambda s: [s[name] - mean_degc], [name])
+    return Functions(["per degC"], lambda s, p: [s[name] - mean_degc], [name])
 
 
 def switched(model: Model, facts: Facts) -> list[Try]:
@@ -327,23 +337,24 @@ def in_runs(runs: Sequence[int]) -> Functions:
 
 
 def at_frequency(
-    frequency_hz: float,
-    harmonics: int = 1,
-    waves: Sequence[str] = ("cos", "sin"),
-    name: str = "{wave}_{n}x{base:.9g}hz",
+    effect: str, frequency_hz: float, harmonics: int = 1, waves: Sequence[str] = ("cos", "sin")
 ) -> Functions:
-    """Return cosine and sine of a frequency and its harmonics over the campaign; `name`: of their columns."""
+    """Return cosine and sine of a frequency and its harmonics over the campaign.
 
-    def made(wave: str, n: int) -> Computed:
-        def rule(s: Stretch) -> np.ndarray:
-            return np.asarray(getattr(np, wave)(2 * pi * n * frequency_hz * (s.data["t_s"] - s.origin_s)))
-
-        return Computed(name.format(wave=wave, n=n, base=frequency_hz, hz=n * frequency_hz), (), rule)
-
+    The frequency is a parameter: its error grows to one of the phase over a long log.
+    """
+    time, name = campaign_time(), f"{effect}_hz"
     pairs = [(wave, n) for n in range(1, harmonics + 1) for wave in waves]
-    columns = [made(wave, n) for wave, n in pairs]
+
+    def values(s: Signals, p: P) -> list[ca.SX]:
+        turn = 2 * pi * p[name] * s[time.name]
+        return [getattr(ca, wave)(n * turn) for wave, n in pairs]
+
     meanings = [f"at {n * frequency_hz:.5g} Hz, {wave} part" for wave, n in pairs]
-    return Functions(meanings, lambda s: [s[c.name] for c in columns], columns)
+    ends = frequency_hz - MAINS_REACH_HZ, frequency_hz + MAINS_REACH_HZ
+    return Functions(
+        meanings, values, [time], [Parameter(name, frequency_hz, *ends, "Hz", "frequency of the mains")]
+    )
 
 
 # -- effects that follow those functions, in one line for a family ------------------------------------------
@@ -358,13 +369,9 @@ def _per(lead: str) -> Any:
     return one_of(labels, "one coefficient for all channels or for each")
 
 
-MAINS_HZ = (50.0, 60.0)
-"""Frequencies of the mains [Hz]."""
-MAINS_REACH_HZ = 4.0
-"""Distance from these within which hum is looked for [Hz]: EN 50160 allows 47 Hz, and a clock may be off."""
 LINE = searched(
     lambda facts: facts.lines_hz, "mains frequency, as the clock of the log shows it",
-    label="{:.5g} Hz", shapes=1, tried=lambda facts: facts.lines_tried,
+    label="{:.5g} Hz", tried=lambda facts: facts.lines_tried,
 )  # fmt: skip
 
 

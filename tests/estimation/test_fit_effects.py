@@ -8,7 +8,7 @@ import pytest
 from gap_twins import TRUTH, hidden, machine
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from twins import record
+from twins import record, simulated
 
 import hallsym
 from hallsym.cli.main import main
@@ -23,6 +23,7 @@ from hallsym.families.mechanisms import nonlinearity, port, stop_state, travel
 from hallsym.log import Log
 from hallsym.model import Parameter
 from hallsym.report.views import summary
+from hallsym.simulation import Campaign, Run
 
 KINDS = (
     ("mount_slip", "grid"),
@@ -30,6 +31,18 @@ KINDS = (
     ("time_skew", "multisine"),
     ("mains_hum", "raster"),
 )
+
+
+def test_the_frequency_of_hum_is_fitted_and_its_error_is_in_that_of_the_phase() -> None:
+    wide = build("rotary", added=("mains_hum:frequency_hz=50",))
+    truth = {"mains_hum_hz": 50.02, "mains_hum0_sin": 0.01, "mains_hum0_cos": 0.01}
+    runs = [Run(2.0, {}, {"angle_rad": lambda t, w=w: w * t}) for w in (9.0, -14.0, 23.0)]
+    log = simulated(wide, truth, Campaign(1e-3, tuple(runs)), dict.fromkeys(("v_sin_v", "v_cos_v"), 1e-3))
+    found = hallsym.fit(log, wide, solver="direct")
+    for name, value in truth.items():
+        assert abs(found.value(name) - value) < 4 * found.std[wide.names.index(name)]
+    phase, hz = (wide.names.index(name) for name in ("mains_hum1_sin", "mains_hum_hz"))
+    assert abs(found.covariance[phase, hz]) > 0.5 * found.std[phase] * found.std[hz]
 
 
 # -- what is fitted is what was diagnosed ------------------------------------------------------------------

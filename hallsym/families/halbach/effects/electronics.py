@@ -7,7 +7,7 @@ import casadi as ca
 from hallsym.errors import InputError
 from hallsym.families import mechanisms
 from hallsym.families.halbach.links import READING
-from hallsym.families.mechanisms import LINE, Functions, at_frequency, following
+from hallsym.families.mechanisms import LINE, Functions, P, at_frequency, following
 from hallsym.model import Facts, Model, Signals, effect
 from hallsym.model.arguments import Try, found
 from hallsym.model.derived import Computed, rate
@@ -42,7 +42,7 @@ def motor_stray_field(
         )
     names = [c if isinstance(c, str) else c.name for c in columns]
 
-    def values(s: Signals) -> Sequence[ca.SX]:
+    def values(s: Signals, p: P) -> Sequence[ca.SX]:
         return [s[n] for n in names]
 
     functions = Functions([f"per {n}" for n in names], values, columns)
@@ -56,4 +56,6 @@ saturation = mechanisms.saturation("v", "channel", READING, "a wider gap")
 @effect(link="electronics", separate="a run at rest on the full clock", needs=("t_s",))
 def mains_hum(model: Model, frequency_hz: float = LINE) -> Model:
     """50 or 60 Hz pick-up."""
-    return following(model, "mains_hum", "electronics", READING, at_frequency(frequency_hz), 10.0, "V")
+    return following(
+        model, "mains_hum", "electronics", READING, at_frequency("mains_hum", frequency_hz), 10.0, "V"
+    )

@@ -19,7 +19,7 @@ HEIGHTS = Way("the same sweep at several gaps", "an offset stays, a gain follows
 
 def constant(model: Model, effect: str, shared: bool = False) -> Model:
     """A constant in the reading of each channel, or the same in all."""
-    one = Functions(["at rest"], lambda s: [ca.SX(1)])
+    one = Functions(["at rest"], lambda s, p: [ca.SX(1)])
     return following(
         model, effect, "transducer", FIELD, one, 10.0, "V", names=[f"{effect}_{{k}}"], shared=shared
     )
@@ -64,7 +64,7 @@ def gain_mismatch(
             )
         labels = zip(links.labels(model), sensors(model.layout), strict=True)
         only, name, beside = [k for k, s in labels if s.array == of], f"gain_{of}", f"under array {of}"
-    one = Functions([beside], lambda s: [ca.SX(1)])
+    one = Functions([beside], lambda s, p: [ca.SX(1)])
     wide = following(
         model, "gain_mismatch", "transducer", FIELD, one, 1.0, "1", gain=True, names=[name], only=only,
         shared=of != EACH,

@@ -103,10 +103,12 @@ def clipped_angle(model: Model, level: float, axes_rad: float) -> Model:
 @effect(link="electronics", separate="a run at rest on the full clock", needs=("t_s",))
 def mains_hum(model: Model, frequency_hz: float = LINE) -> Model:
     """50 or 60 Hz pick-up."""
-    return offsets_follow(model, "mains_hum", at_frequency(frequency_hz))
+    return offsets_follow(model, "mains_hum", at_frequency("mains_hum", frequency_hz))
 
 
 @effect(link="electronics", needs=("t_s",), separate="a run at rest on the full clock")
 def reference_voltage_fluctuation(model: Model, frequency_hz: float = LINE) -> Model:
     """The gain of the converter swings with the mains."""
-    return gains_follow(model, "reference_voltage_fluctuation", at_frequency(frequency_hz))
+    return gains_follow(
+        model, "reference_voltage_fluctuation", at_frequency("reference_voltage_fluctuation", frequency_hz)
+    )

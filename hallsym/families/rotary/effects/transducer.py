@@ -19,7 +19,7 @@ from hallsym.model.derived import rate
 
 def offset(model: Model, effect: str) -> Model:
     """A constant in each voltage."""
-    unit, constant = "1" if decodes(model) else "V", Functions(["plate"], lambda s: [ca.SX(1)])
+    unit, constant = "1" if decodes(model) else "V", Functions(["plate"], lambda s, p: [ca.SX(1)])
     names = [f"{effect}_{{k}}"]
     return following(model, effect, "transducer", VOLTAGES, constant, 10.0, unit, names=names)
 

@@ -59,7 +59,7 @@ def mains_hum(
 
     Reading plus a sine at the mains frequency (and harmonics), amplitude and phase per probe.
     """
-    waves = at_frequency(frequency_hz, harmonics, ("sin", "cos"), "{wave}_{hz:.9g}")
+    waves = at_frequency("mains_hum", frequency_hz, harmonics, ("sin", "cos"))
     names = [
         f"hum_{wave}_{n * frequency_hz:.9g}_{{k}}" for n in range(1, harmonics + 1) for wave in ("sin", "cos")
     ]
