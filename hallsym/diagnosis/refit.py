@@ -186,13 +186,10 @@ def refit(base: Base, runs: Sequence[int], beside: float = np.inf) -> Refitted:
     """Minimise the whitened residual of `runs` from `base`; every run's offsets follow its own samples.
 
     It ends where a step lowers the cost by less than 1e-5 of it, or where steps as good as the last one do
-    not reach the cost `beside` it in the passes that are left. A long log is fitted in part first; the last
-    step on all samples needs no pass once it is within the uncertainty of the part: over that the model is as
-    linear as its covariance supposes.
+    not reach the cost `beside` it in the passes that are left. Of a long log the last step needs no pass once
+    it is within the uncertainty of its part: over that the model is as linear as its covariance supposes.
     """
     left, long = count(PASSES, -1), base.part is not base
-    if long:
-        base = replace(base, p=refit(base.part, runs).base.p)
 
     def converged(now: Refitted, gained: float) -> bool:
         if not long:

@@ -252,6 +252,8 @@ class Selection:
     """Whether the budget ended the search before it was done."""
     longest: float = 0.0
     """Seconds that the longest screening took."""
+    searched: "Selection | None" = None
+    """The search on the part of a long log that found the effects."""
 
     def over(self, more: bool = False) -> bool:
         """Return whether the search has used up its budget; asked where there is more to do.
@@ -433,11 +435,11 @@ class Selection:
         if self.setup is setup:
             return self
         setup.say(f"fitting to all {setup.base.log.rows} samples")
+        self.refits[tuple(self.effects)] = self.fit
         start = refit(setup.base, self.runs)
-        if not self.effects:
-            return replace(self, setup=setup, start=start, fit=start, refits={(): start})
-        end = refit(replace(self.fit.base, log=setup.base.log, keep=setup.base.keep), self.runs)
-        return replace(self, setup=setup, start=start, fit=end, refits={(): start})
+        whole = replace(self, setup=setup, start=start, refits={(): start}, searched=self)
+        whole.fit = whole.fitted(tuple(self.effects))
+        return whole
 
     def drop(self, *effects: Exact) -> None:
         """Continue without some effects."""
@@ -446,10 +448,17 @@ class Selection:
 
     def without(self, *left_out: Exact) -> Refitted:
         """Return the fit with all effects but some."""
-        key = tuple(e for e in self.effects if e not in left_out)
+        return self.fitted(tuple(e for e in self.effects if e not in left_out))
+
+    def fitted(self, key: tuple[Exact, ...]) -> Refitted:
+        """Return the fit with these effects; on a long log it begins at that on the part."""
         if key not in self.refits:
-            values = {name: v for e in key for name, v in e.fit.base.values.items()}
-            base = with_effects(self.start.base, (e.score.variant for e in key), values)
+            if self.searched:
+                log, keep = self.start.base.log, self.start.base.keep
+                base = replace(self.searched.fitted(key).base, log=log, keep=keep)
+            else:
+                values = {name: v for e in key for name, v in e.fit.base.values.items()}
+                base = with_effects(self.start.base, (e.score.variant for e in key), values)
             self.refits[key] = refit(base, self.runs)
         return self.refits[key]
 

@@ -165,7 +165,9 @@ def spectrum_peak(base: Base, runs: Iterable[int]) -> float:
 
 
 def noise_of_rest(base: Base, runs: Sequence[int]) -> ResidualNoise | None:
-    """Return the noise that `base` leaves on `runs`; None where they are too short to tell."""
+    """Return the noise that `base` leaves on `runs`, of a long log on its part; None where they are too short
+    to tell."""
+    base = base.part
     offsets = {run: base.offsets_in(run) for run in (runs if base.timed else base.log.runs)}
     return noise_left(base.log, base.model, base.p, offsets, base.covariance, base.sigma, base.keep)
 

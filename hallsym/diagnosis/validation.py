@@ -199,9 +199,8 @@ def validate(setup: Setup, selection: Selection) -> Validation:
     whole = survey(end.on_all, runs)
     kept = survey(end, runs) if end.keep else whole
     found = [f for f in faults(end, whole, setup.tested) if cures(f) >= setup.threshold]
-    gap = decoded_errors(end.on_all, setup.runs).metric
-    rest = lack_of_fit(end, setup.runs)
-    if gap <= setup.floor_fitted.least * (1 + setup.policy.negligible):
+    rest, least = lack_of_fit(end, setup.runs), setup.floor_fitted.least * (1 + setup.policy.negligible)
+    if found and decoded_errors(end.on_all, setup.runs).metric <= least:
         found = []
     if shaped(setup, rest):  # which may look like late samples here and there
         least = max([rest.tones, *(s.drop for s in rest.shapes)])

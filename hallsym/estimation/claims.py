@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from itertools import combinations, islice, permutations, product
+from itertools import combinations, groupby, islice, permutations, product
 
 import casadi as ca
 import numpy as np
@@ -293,9 +293,9 @@ class Trials:
 
     @cached_property
     def _blocks(self) -> list[Block]:
-        blocks = list(self.given.blocks(self.columns, size=2**62))
-        every = -(-sum(len(b.data[self.columns[0]]) for b in blocks) // READ)
-        return blocks[::every]
+        runs = {*self.given.runs[:: -(-self.given.rows // READ)]}
+        each = groupby(self.given.blocks(self.columns), lambda block: block.run)
+        return [Block(k, joined([b.data for b in own], self.columns)) for k, own in each if k in runs]
 
     @cached_property
     def full(self) -> dict[str, np.ndarray]:

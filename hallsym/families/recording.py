@@ -10,13 +10,13 @@ A mistake is stated by a text, which a fit proposes, `--correct` takes and a cal
     gain_step hall_a_m 1.05             its gain is so many times what it is elsewhere
     clipped x_ref_m -3e-4 3e-4          it stops at these values
     stuck hall_b_m 120 180              it stands still from one sample to before another
-    stuck hall_b_m                      it stands still, or repeats earlier samples, wherever it does
     averaged hall_a_m,hall_b_m 3        it holds centred means over so many samples
     coarse_steps hall_a_m 1e-5          it is rounded to steps
     copied_run in 7                     the run is a copy of another
     other_device in 20-40               the runs are of another device
 
 Each may end with runs, `in 3,5,7-9`; without, all runs have it. Samples are counted from 0 in their run.
+Without samples, `stuck` finds them: a noisy column stands still there, or repeats earlier samples.
 """
 
 import math
