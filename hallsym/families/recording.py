@@ -163,13 +163,20 @@ def _off_rails(c: Correction, data: Data) -> np.ndarray:
     return np.all([(data[name] > low) & (data[name] < high) for name in c.columns], axis=0)
 
 
+HASH = np.uint64(0x9E3779B97F4A7C15)
+"""Multiplier of a hash of values in 64 bits: 2^64 over the golden ratio (Knuth, TAOCP 3, 6.4)."""
+
+
 def repeats(x: np.ndarray) -> np.ndarray:
     """Return which samples of a run (n,) are among `STUCK_SAMPLES` values that it had before: (n,)."""
     if len(x) <= STUCK_SAMPLES:
         return np.zeros(len(x), dtype=bool)
-    parts = np.lib.stride_tricks.sliding_window_view(x, STUCK_SAMPLES)
-    _, first, same = np.unique(parts, axis=0, return_index=True, return_inverse=True)
-    again = first[same.ravel()] < np.arange(len(parts))
+    code = np.unique(x, return_inverse=True)[1].astype(np.uint64)
+    key = np.zeros(len(x) - STUCK_SAMPLES + 1, dtype=np.uint64)  # of each stretch: two share one by 2^-64
+    for k in range(STUCK_SAMPLES):
+        key = key * HASH + code[k : len(key) + k]
+    _, first, same = np.unique(key, return_index=True, return_inverse=True)
+    again = first[same] < np.arange(len(key))
     return np.asarray(np.convolve(again, np.ones(STUCK_SAMPLES)) > 0.5)
 
 
