@@ -103,9 +103,10 @@ def format_of(path: Path, name: str | None = None) -> Format:
 
 
 def _recognised(file: Path, name: str | None) -> Format:
-    """Return the format of a file; text is a table of text, whatever ending an instrument gives it."""
+    """Return the format of a file; lines of text are a table of text, whatever ending an instrument gives."""
     with reading(file, "Log", "cannot be read"), open(file, "rb") as stream:
-        text = name is None and min(stream.read(PIECE), default=0) >= ord("\t")
+        head = stream.read(PIECE)
+    text = name is None and min(head, default=0) >= ord("\t") and b"\n" in head.rstrip()
     other = any(file.suffix.lower() in e.suffixes for e in FORMATS if e.name in ("json", "table"))
     return format_of(file, "csv" if text and not other else name)
 
