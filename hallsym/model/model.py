@@ -417,7 +417,7 @@ class Model:
         self, p: Columns, offsets: Columns, reading: Columns, state: Columns, weight: Columns,
         near: Columns | None = None,
     ) -> np.ndarray:  # fmt: skip
-        """Return the pose (n_pose, *samples) that `decoded` gives for arrays of samples; not finite: no pose.
+        """Return the pose (n_pose, samples) that `decoded` gives for arrays of samples; not finite: no pose.
 
         Inputs as for `on_arrays`. `near`: a pose on whose branch coordinates that repeat lie. Readings repeat
         with the pose; errors of the reference, such as its scale, do not.
