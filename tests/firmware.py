@@ -88,7 +88,7 @@ def plain(name: str, **values: float) -> Fit:
     return known(model, model.vector(given))
 
 
-CASES: dict[str, Callable[[], Fit]] = {
+STAGES: dict[str, Callable[[], Fit]] = {
     "stage31": calibration,
     "stage15": lambda: plain("stage15"),
     "stage31_tied": lambda: plain("stage31_tied", a_A=-190.0, a_B=-150.0, a_C=-180.0, x0=0.12, y0=-0.03),
@@ -98,12 +98,6 @@ CASES: dict[str, Callable[[], Fit]] = {
     "vertical_offset_coupling": lambda: with_effect(effects(STAGE_FAMILY)["vertical_offset_coupling"], 0.01),
     "cubic": lambda: with_effect(effects(STAGE_FAMILY)["odd_nonlinearity"], 0.01),
 }
-
-
-@cache
-def made(case: str, **variant: bool | str) -> Generated:
-    """Generated code of a case, once per process."""
-    return hallsym.generate(CASES[case](), **variant)
 
 
 def written(code: Generated, folder: Path) -> Path:

@@ -4,13 +4,10 @@
 that are longer than they are. `travel`: one array along a longer board.
 """
 
-from functools import cache
-
 import numpy as np
 from msgspec import structs
 from waves import LENGTH, THIRD, calibrated
 
-import hallsym
 from hallsym.families import effects
 from hallsym.families.halbach import planar as movers
 from hallsym.families.halbach.effects import ends
@@ -109,19 +106,10 @@ BOARDS = {
     "24 sums": (lambda: planar(**TILTED), 1e-6),
     "many periods": (lambda: planar(**{**LEVEL, "travel": 0.06}), 5e-6),
     "another level": (level, 2e-6),
+    "tilted 24 sums": (lambda: planar(6, (0.0065, 0.0085), 0.0135, 0.003, 3), 5e-6),
     "grid of 24": (lambda: grid(6, 1), 2e-5),
     "grid of 48": (lambda: grid(6, 2), 2e-5),
     "rows": (rows, 5e-6),
     "travel": (travel, None),
 }
 """Calibration, and the accuracy of its C."""
-
-
-@cache
-def fit_of(name):
-    return BOARDS[name][0]()
-
-
-@cache
-def made(name):
-    return hallsym.generate(fit_of(name), accuracy=BOARDS[name][1])

@@ -11,7 +11,8 @@ import zlib
 
 import numpy as np
 import pytest
-from firmware import GOLDEN, calibration, four_probes, made, with_effect
+from calibrations import made
+from firmware import GOLDEN, calibration, four_probes, with_effect
 
 from hallsym.cli.main import main
 from hallsym.codegen import generate

@@ -13,14 +13,14 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from calibrations import fit_of, made
 from firmware import (
-    CASES,
     GOLDEN,
     PATHS,
+    STAGES,
     STRICT,
     Library,
     instructions,
-    made,
     need,
     passes,
     proved_by_eva,
@@ -182,7 +182,7 @@ def test_the_header_is_also_cpp(golden, tmp_path):
 @cache
 def implied(case):
     """The slopes of the pose by the readings by the implicit function theorem."""
-    fit = CASES[case]()
+    fit = fit_of(case)
     model = fit.model
     pose, state = ca.SX.sym("pose", len(model.pose)), ca.SX.sym("state", len(model.state))
     reading = model.reading(fit.values, np.zeros(len(model.offsets)), pose, state)
@@ -216,7 +216,7 @@ def test_they_are_those_of_the_model(tmp_path, case):
         assert (np.abs(found - expected) <= bound).all()
 
 
-LATER = [pytest.param(c, marks=pytest.mark.slow) for c in CASES if c != "stage31"]
+LATER = [pytest.param(c, marks=pytest.mark.slow) for c in STAGES if c != "stage31"]
 
 
 @pytest.mark.parametrize("case", ["stage31", *LATER])

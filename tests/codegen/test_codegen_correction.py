@@ -10,12 +10,11 @@ from math import pi
 import casadi as ca
 import numpy as np
 import pytest
+from calibrations import fit_of, made
 from hypothesis import given
 from hypothesis import strategies as st
-from test_codegen_rotary import ELLIPSE, calibrated, turned
-from test_codegen_rotary import fit_of as encoder_of
+from test_codegen_rotary import turned
 
-import hallsym
 from hallsym.cli.main import main
 from hallsym.codegen.bounds import rounded
 from hallsym.codegen.decoupler import Step, computed
@@ -27,27 +26,10 @@ from hallsym.errors import InputError
 from hallsym.model import on_arrays
 
 
-def clipped(level=0.8):
-    """An encoder whose voltages stop at rails."""
-    model = hallsym.build("rotary", added=(f"saturation:low_v=-{level}/-{level},high_v={level}/{level}",))
-    return calibrated(model, {**ELLIPSE, "clipped_sin": 1.0, "clipped_cos": 1.0})
-
-
-def fit_of(case):
-    if case == "clipped":
-        return clipped()
-    return encoder_of(*case.split(" "))
-
-
 @cache
 def curve(case):
     fit = fit_of(case)
     return Curve(fit.model, fit.values)
-
-
-@cache
-def made(case, accuracy=None):
-    return hallsym.generate(fit_of(case), accuracy=accuracy)
 
 
 SLOW = pytest.mark.slow
@@ -145,7 +127,7 @@ def test_what_is_said_to_be_within_reach_is():
     with pytest.raises(InputError) as said:
         made("clipped")
     reach = float(str(said.value).partition("entries; ")[2].split()[0])
-    assert made("clipped", reach).decoupler.slack <= reach * 1.001
+    assert made("clipped", accuracy=reach).decoupler.slack <= reach * 1.001
 
 
 # -- options -------------------------------------------------------------------------------------------------

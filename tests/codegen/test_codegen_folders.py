@@ -5,7 +5,8 @@ import shutil
 
 import numpy as np
 import pytest
-import test_codegen_rotary as encoders
+from calibrations import ENCODERS, LAYOUTS
+from calibrations import encoder as calibrated
 from firmware import GOLDEN, calibration, need, ran
 from twins import with_arrays
 
@@ -90,10 +91,10 @@ def stage(gains=1.0, others=1.0, field=None):
 
 
 def encoder(factor=1.0):
-    make, values = encoders.CASES["harmonics"]
+    make, values = ENCODERS["harmonics"]
     moved = {"Vx": -0.3, "Vy": 1.2, "beta": 0.5} if factor != 1 else {}  # other centers, another phase
     waves = {k: v * (factor if k[0] == "h" else moved.get(k, 1)) for k, v in values.items()}
-    return encoders.calibrated(make(encoders.LAYOUTS["volts"]), waves)
+    return calibrated(make(LAYOUTS["volts"]), waves)
 
 
 SLOW = pytest.mark.slow

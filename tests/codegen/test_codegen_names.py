@@ -6,10 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from calibrations import fit_of
 from firmware import calibration, known, need, ran
 from hypothesis import given
 from hypothesis import strategies as st
-from test_codegen_correction import fit_of
 
 import hallsym
 from hallsym.codegen import generate

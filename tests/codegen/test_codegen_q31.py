@@ -7,7 +7,8 @@ of their bounds; the layout number is that of names, exponents and lines: the sa
 import json
 
 import pytest
-from firmware import CASES, calibration, made
+from calibrations import fit_of, made
+from firmware import calibration
 
 from hallsym.codegen import generate
 from hallsym.errors import InputError
@@ -45,7 +46,7 @@ def test_an_edited_plan_is_no_plan(tmp_path, edited):
 @pytest.mark.parametrize("case", ["stage31", "four probes", "user's height_quadratic"])
 def test_equal_inputs_have_one_exponent(case):
     found = made(case, arithmetic="q31").backend.exponents
-    model = CASES[case]().model
+    model = fit_of(case).model
     assert len({found[c] for c in model.channels}) == 1
     assert found["rx_rad"] == found["ry_rad"]
     assert found["x_m"] == found["y_m"]

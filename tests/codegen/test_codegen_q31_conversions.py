@@ -9,8 +9,8 @@ from math import floor, pi
 
 import numpy as np
 import pytest
-from firmware import made, need, ran
-from test_codegen_correction import fit_of
+from calibrations import fit_of, made
+from firmware import need, ran
 
 from hallsym.codegen import generate
 

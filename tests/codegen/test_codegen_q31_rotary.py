@@ -4,27 +4,17 @@ Independent facts: numpy's arctangent; straight lines by numpy's interpolation; 
 known angle; a binary angle wraps by itself; shifted counts are angles.
 """
 
-from functools import cache
 from math import pi
 
 import numpy as np
 import pytest
+from calibrations import made
 from hypothesis import given
 from hypothesis import strategies as st
-from test_codegen_correction import fit_of
 from test_codegen_rotary import turned
 
-from hallsym.codegen import generate
 from hallsym.codegen import integer_c as turns
 from hallsym.errors import InputError
-
-CASES = [("meng angle", None), ("meng volts", None), ("ellipse volts", None), ("clipped", 5e-3)]
-
-
-@cache
-def made(case, accuracy=None):
-    return generate(fit_of(case), arithmetic="q31", accuracy=accuracy)
-
 
 # -- binary angles -------------------------------------------------------------------------------------------
 
@@ -60,7 +50,7 @@ def test_a_table_that_does_not_fit_is_refused():
 
 def test_counts_that_are_shifted_are_angles():
     """A 14-bit encoder: count << 18."""
-    source = made("meng angle").backend
+    source = made("meng angle", arithmetic="q31").backend
     count = np.arange(2**14)
     pose, status = source.step((count << 18)[None])
     wanted = source.decoupler.exact(count[None] * (2 * pi / 2**14))

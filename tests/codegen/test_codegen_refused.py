@@ -8,11 +8,11 @@ import boards
 import casadi as ca
 import numpy as np
 import pytest
-from firmware import CASES, calibration, with_effect
+from calibrations import ELLIPSE, LAYOUTS, ROTARY, clipped, fit_of
+from calibrations import encoder as calibrated
+from firmware import calibration, with_effect
 from msgspec import structs
-from test_codegen_correction import clipped, curve
-from test_codegen_correction import fit_of as corrected
-from test_codegen_rotary import ELLIPSE, LAYOUTS, ROTARY, calibrated
+from test_codegen_correction import curve
 from twins import with_arrays
 from waves import LENGTH, sums
 from waves import calibrated as wave
@@ -40,7 +40,7 @@ def encoder(effect):
 
 
 def q31(case, **options):
-    return lambda: generate(corrected(case), arithmetic="q31", **options)
+    return lambda: generate(fit_of(case), arithmetic="q31", **options)
 
 
 def bump():
@@ -61,7 +61,7 @@ def half_a_board():
     def step(s, p):
         s["reading"] = s["reading"][:6]
 
-    fit = boards.fit_of("12 sums")
+    fit = fit_of("12 sums")
     half = fit.model.with_step("electronics", step, effect="half_a_board")
     half = replace(half, channels=fit.model.channels[:6])
     return generate(wave(half, fit.model.named(fit.values)).changed(log=fit.log))
@@ -95,7 +95,7 @@ REFUSED = {
     "no polynomial": (bump, "polynomials"),
     "an accuracy of a stage": (changed(lambda f: f, accuracy=1e-6), "--accuracy belongs to families"),
     "integers of an iterated model": (
-        lambda: generate(CASES["cubic"](), arithmetic="q31"), r"linear in the pose; .* has its C in float"
+        lambda: generate(fit_of("cubic"), arithmetic="q31"), r"linear in the pose; .* has its C in float"
     ),
     "jacobian of integers": (
         changed(lambda f: f, arithmetic="q31", jacobian=True), "--jacobian belongs to --arithmetic float"
@@ -107,14 +107,14 @@ REFUSED = {
     "errors of a reference": (encoder(ROTARY["reference_pole_pairs"]), "errors of its reference"),
     "an encoder's history": (encoder(ROTARY["time_skew"]), "computed from a whole log"),
     "slopes of an encoder": (
-        lambda: generate(corrected("ellipse volts"), jacobian=True), "--jacobian is not generated for rotary"
+        lambda: generate(fit_of("ellipse volts"), jacobian=True), "--jacobian is not generated for rotary"
     ),
     "more than a turn": (
-        lambda: generate(corrected("ellipse angle"), ranges={"angle_rad": (-10.0, 10.0)}),
+        lambda: generate(fit_of("ellipse angle"), ranges={"angle_rad": (-10.0, 10.0)}),
         "within one turn in either direction",
     ),
     "a negative accuracy": (
-        lambda: generate(corrected("meng angle"), accuracy=-1.0), "must be a positive angle"
+        lambda: generate(fit_of("meng angle"), accuracy=-1.0), "must be a positive angle"
     ),
     "the code of another version": (
         lambda: smallest_correction(curve("meng angle"), None, "series:6"), "--force"

@@ -8,7 +8,8 @@ import re
 
 import numpy as np
 import pytest
-from firmware import PATHS, SANITIZED, calibration, made, need, ran, written
+from calibrations import made
+from firmware import PATHS, SANITIZED, calibration, need, ran, written
 from test_codegen_every import EVERY
 
 from hallsym.codegen import generate

@@ -4,46 +4,17 @@ Independent facts: the field's own equation at a known place and height (`waves`
 Maguire's thesis (2-16 to 2-20) where there is no fifth harmonic; numpy's arctangent and logarithm.
 """
 
-from functools import cache
-
 import numpy as np
 import pytest
-from waves import LC, LENGTH, VALUES, calibrated, sums
+from calibrations import made
+from waves import LC, LENGTH
 
-import hallsym
 from hallsym.codegen import cost_of
 from hallsym.families import halbach
-
-PLAIN = {"A5": 0.0}
-SECOND = {**VALUES, "A2": 5e-3, "wavelength": 0.03017}
-CASES = {
-    "three sums": (3, VALUES),
-    "five sums": (5, {**VALUES, "g4": 4.4}),
-    "first harmonic alone": (3, PLAIN),
-    "second harmonic, another wavelength": (3, SECOND),
-}
-BUILT = "three sums"
-
-
-@cache
-def fit_of(case):
-    if case == "halbach":
-        model, values = halbach.models.halbach(), {"a1": 0.62, "b1": 0.11, "a5": -6e-4, "b5": -8e-4}
-        return calibrated(model, values, gaps=(0.0042, 0.0062))
-    count, values = CASES[case]
-    return calibrated(sums(count), values)
-
-
-@cache
-def made(case=BUILT, **variant):
-    return hallsym.generate(fit_of(case), **variant)
 
 
 def turned(difference, period=LENGTH):
     return np.abs(difference - period * np.round(difference / period))
-
-
-# -- polynomials ---------------------------------------------------------------------------------------------
 
 
 # -- place and height ----------------------------------------------------------------------------------------
@@ -68,9 +39,9 @@ def test_ideal_sums_are_the_closed_form_of_the_thesis():
 @pytest.mark.slow
 @pytest.mark.parametrize("accuracy", [1e-7, 2e-8])
 def test_an_accuracy_that_is_asked_for_is_kept_by_more_rounds(accuracy):
-    code = made(accuracy=accuracy)
-    assert code.decoupler.slack <= accuracy < made().decoupler.slack
-    assert len(code.decoupler.steps) > len(made().decoupler.steps)
+    code = made("three sums", accuracy=accuracy)
+    assert code.decoupler.slack <= accuracy < made("three sums").decoupler.slack
+    assert len(code.decoupler.steps) > len(made("three sums").decoupler.steps)
     assert max(code.errors.values()) <= max(code.backend.error_bound.values())
     assert code.backend.record["options"] == {"accuracy": accuracy}
 
