@@ -93,6 +93,11 @@ def with_noise(columns: Mapping[str, np.ndarray], sigma: Mapping[str, float] = S
     return Log.from_arrays(columns, noise=Noise({c: Sigma(s, "given") for c, s in sigma.items()}))
 
 
+def altered(log: Log, **columns: np.ndarray) -> Log:
+    """Return a log in which some columns are other ones."""
+    return Log.from_arrays({c: log.array(c) for c in log.columns} | columns, log.noise, log.meta)
+
+
 def simulated(
     model: Model, values: Mapping[str, float], plan: Campaign, sigma: Mapping[str, float], seed: int = 1
 ) -> Log:

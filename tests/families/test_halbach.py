@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 from test_halbach_ends import read
-from twins import example_log
+from twins import altered, example_log
 
 import hallsym
 from hallsym import InputError, Log
@@ -251,8 +251,7 @@ def test_two_sensors_half_a_wavelength_apart_tell_no_position():
 def _claimed(column, change):
     """Names of claims of a log in which a column is changed."""
     log = example_log(halbach(NINE))
-    data = {c: log.array(c) for c in log.columns} | {column: change(log.array(column))}
-    return _names(Log.from_arrays(data, log.noise))
+    return _names(altered(log, **{column: change(log.array(column))}))
 
 
 def _names(log):
@@ -282,10 +281,7 @@ def test_another_wavelength_and_a_silent_sensor_are_far_from_the_noise():
     model, log = halbach(NINE), example_log(halbach(NINE))
     known = hallsym.fit(log, model, solver="direct")
     scaled = {(c, f): f * log.array(c) for c, f in (("col_3_v", 0.01), ("x_ref_m", 1.25), ("col_3_v", 10.0))}
-    silent, *lost = (
-        Log.from_arrays({n: log.array(n) for n in log.columns} | {c: v}, log.noise)
-        for (c, _), v in scaled.items()
-    )
+    silent, *lost = (altered(log, **{c: v}) for (c, _), v in scaled.items())
     fit = hallsym.fit(silent, model, solver="direct", loss="none")
     assert fit.goodness is not None
     assert fit.goodness.worst > 30 * fit.goodness.limit

@@ -12,7 +12,7 @@ import halbach_plant as plant
 import numpy as np
 import pytest
 from firmware import passes, written
-from twins import example_log, swept
+from twins import altered, example_log, swept
 
 import hallsym
 from hallsym import Log, Noise
@@ -158,8 +158,7 @@ def test_a_model_that_knows_its_ends_is_made_from_the_log_without_its_mistakes()
     """The travel over which it knows them is that of the corrected log, whatever was logged."""
     pytest.importorskip("magpylib")
     log, _ = finite_machine(True)
-    data = {c: log.array(c) * (1000 if c == "z_ref_m" else 1) for c in log.columns}
-    log = Log.from_arrays(data, log.noise, log.meta)
+    log = altered(log, z_ref_m=1000 * log.array("z_ref_m"))
     options = {"effects": ["gain_mismatch", "offset_error"], "solver": "direct", "loss": "none"}
     result = hallsym.fit(log, "halbach", **options, corrections=["scale z_ref_m mm"], accept=["all"])
     assert not any("beyond the travel" in note for note in result.notes)

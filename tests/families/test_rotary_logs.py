@@ -2,12 +2,14 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from beside import CASES, REAL, needs
 from test_rotary import ANGLE, TURN, angle_log, plates, voltage_log, wrap
+from twins import altered
 
 import hallsym
 from hallsym.cli.main import main
@@ -50,8 +52,7 @@ def test_the_form_follows_from_the_columns():
 def test_turns_wraps_and_any_zero(make, wrap_reference, zero):
     log = make(V | {"zero": zero}, BOTH, 1e-4)
     if wrap_reference:
-        columns = {c: log.array(c) for c in log.columns if c != "run"}
-        log = Log.from_arrays(columns | {"angle_ref_rad": wrap(columns["angle_ref_rad"])})
+        log = altered(log, angle_ref_rad=wrap(log.array("angle_ref_rad")))
     fit = fitted(log)
     assert abs(wrap(fit.value("zero") - zero)) < 1e-4
     assert fit.errors.rows()["fitted"]["rmse"]["angle_rad"] < 1.3e-4
@@ -59,9 +60,7 @@ def test_turns_wraps_and_any_zero(make, wrap_reference, zero):
 
 @pytest.mark.parametrize("make", [angle_log, voltage_log])
 def test_an_encoder_that_turns_against_its_reference(make, tmp_path):
-    log = make(V, -BOTH, 1e-4)
-    columns = {c: log.array(c) for c in log.columns if c != "run"}
-    log = Log.from_arrays(columns | {"angle_ref_rad": BOTH})
+    log = altered(make(V, -BOTH, 1e-4), angle_ref_rad=BOTH)
     fit = fitted(log)
     assert fit.assignment[0][1] == -1
     assert any("turns against" in note for note in fit.notes)
@@ -74,9 +73,9 @@ def test_an_encoder_that_turns_against_its_reference(make, tmp_path):
 def test_the_noise_floor_is_that_of_the_decoded_angle():
     log = voltage_log({"Ax": 2.0, "Ay": 2.0}, BOTH, 1e-3)
     sigma = {"v_sin_v": 1e-3, "v_cos_v": 1e-3, "angle_ref_rad": 3e-4}
-    noise = hallsym.Noise({c: hallsym.log.Sigma(s, "given") for c, s in sigma.items()})
-    known = Log.from_arrays({c: log.array(c) for c in log.columns if c != "run"}, noise)
-    assert fitted(known).noise_floor["angle_rad"] == pytest.approx(np.hypot(5e-4, 3e-4), rel=1e-3)
+    assert fitted(replace(log, noise=Noise.given(sigma, log.columns))).noise_floor[
+        "angle_rad"
+    ] == pytest.approx(np.hypot(5e-4, 3e-4), rel=1e-3)
 
 
 # -- bad input -------------------------------------------------------------------------------------------
@@ -93,8 +92,7 @@ def test_the_noise_floor_is_that_of_the_decoded_angle():
 def test_references_that_tell_no_encoder_are_claims(make, reference, a, says):
     log = make(V, a, 1e-4)
     if reference:
-        columns = {c: log.array(c) for c in log.columns if c != "run"}
-        log = Log.from_arrays(columns | {"angle_ref_rad": reference(a)})
+        log = altered(log, angle_ref_rad=reference(a))
     said = [claim.text for claim in fitted(log).claims]
     assert any(re.search(says, text) for text in said), said
     assert all(text.count(". ") == 0 for text in said)
@@ -103,8 +101,8 @@ def test_references_that_tell_no_encoder_are_claims(make, reference, a, says):
 STATED = {"angle_rad": 1e-4, "v_sin_v": 1e-4, "v_cos_v": 1e-4, "angle_ref_rad": 1e-5}
 
 
-def stated(columns):
-    return Log.from_arrays(columns, Noise.given({c: s for c, s in STATED.items() if c in columns}, columns))
+def stated(log):
+    return replace(log, noise=Noise.given({c: s for c, s in STATED.items() if c in log.columns}, log.columns))
 
 
 @pytest.mark.parametrize(
@@ -117,11 +115,10 @@ def stated(columns):
     ],
 )
 def test_a_reference_of_another_scale_is_claimed_with_what_puts_it_right(make, reference, a, correction):
-    log = make(V, a, 1e-4)
-    columns = {c: log.array(c) for c in log.columns if c != "run"} | {"angle_ref_rad": reference(a)}
-    first = fitted(stated(columns)).claims[0]
+    log = stated(altered(make(V, a, 1e-4), angle_ref_rad=reference(a)))
+    first = fitted(log).claims[0]
     assert f"--correct '{correction}'" in first.text
-    right = fitted(stated(columns), corrections=[correction])
+    right = fitted(log, corrections=[correction])
     assert not right.claims
     assert right.value("beta") == pytest.approx(V["beta"], abs=1e-4)
 
@@ -144,10 +141,9 @@ def test_spikes_do_not_hide_how_an_encoder_turns():
 def test_voltages_of_another_scale_are_claimed():
     """Amplitudes of 10 uV lie beyond their bounds; which power of ten is meant, no log tells."""
     log = voltage_log(V, BOTH, 1e-4)
-    columns = {c: log.array(c) for c in log.columns if c != "run"}
-    columns |= {c: 1e-5 * columns[c] for c in ("v_sin_v", "v_cos_v")}
-    noise = Noise.given({"v_sin_v": 1e-9, "v_cos_v": 1e-9, "angle_ref_rad": 1e-5}, list(columns))
-    (claim,) = fitted(Log.from_arrays(columns, noise)).claims
+    log = altered(log, **{c: 1e-5 * log.array(c) for c in ("v_sin_v", "v_cos_v")})
+    noise = Noise.given({"v_sin_v": 1e-9, "v_cos_v": 1e-9, "angle_ref_rad": 1e-5}, log.columns)
+    (claim,) = fitted(replace(log, noise=noise)).claims
     assert (claim.name, claim.columns) == ("scale", ("v_sin_v", "v_cos_v"))
     assert claim.explains > 0.9
 
@@ -165,9 +161,7 @@ def test_rows_in_no_order_need_a_stated_noise():
 
 def test_noise_that_is_estimated_too_large_is_said():
     """A sample every 1.7 rad: differences of the angle's error are no noise, and what is left shows it."""
-    log = angle_log(V, 1.7 * np.arange(1000), 1e-4)
-    fit = fitted(Log.from_arrays({c: log.array(c) for c in log.columns if c != "run"}))
-    said = "; ".join(circumstances(fit))
+    said = "; ".join(circumstances(fitted(angle_log(V, 1.7 * np.arange(1000), 1e-4))))
     assert "noise was estimated" in said
     assert "state it with --noise" in said
     assert "noise was estimated" not in "; ".join(circumstances(fitted(angle_log(V, BOTH, 1e-4))))
@@ -389,8 +383,7 @@ def test_the_nominal_error_does_not_depend_on_the_common_amplitude(amplitude):
 def test_offsets_stay_what_they_are_in_volts():
     """A drawing states offsets in volts; what a smaller amplitude makes of them is an error."""
     log = voltages(0.5, 1e-5)
-    shifted = Log.from_arrays({c: log.array(c) + (0.01 if c == "v_cos_v" else 0) for c in log.columns})
-    fit = hallsym.fit(shifted, "rotary", solver="direct")
+    fit = fitted(altered(log, v_cos_v=log.array("v_cos_v") + 0.01))
     assert rmse(fit, "designed") == pytest.approx(0.01 / 0.5 / np.sqrt(2), rel=0.02)
 
 

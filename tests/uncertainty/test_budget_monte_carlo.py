@@ -1,15 +1,14 @@
 """Propagation of distributions: examples of JCGM 101 with their printed results, and positions."""
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
 from scipy import stats
-from twins import record, with_arrays, with_noise
+from test_budget_position import SOMEWHERE, fitted
+from twins import with_arrays
 
 from hallsym.errors import InputError
-from hallsym.estimation import Fit, fit
 from hallsym.report.results.budget import comparison_table
 from hallsym.uncertainty import (
     Budget,
@@ -21,13 +20,6 @@ from hallsym.uncertainty import (
 )
 from hallsym.uncertainty.inputs import independent_inputs
 from hallsym.uncertainty.monte_carlo import decoded_at_random, propagate, tolerance
-
-SOMEWHERE = {"x_m": 2e-4, "y_m": -3e-4, "rz_rad": 1e-4, "z_m": 2e-4, "rx_rad": -3e-4, "ry_rad": 1e-4}
-
-
-@cache
-def fitted(*effects: str) -> Fit:
-    return fit(with_noise(record(seed=1)), "stage31", effects=effects, solver="direct", loss="none")
 
 
 def rng(seed: int = 1) -> np.random.Generator:
@@ -151,7 +143,7 @@ FULL = Settings(
 @pytest.mark.parametrize("effects", [(), ("exact_rotation",)], ids=str)
 @pytest.mark.parametrize("settings", [Settings(), FULL], ids=["default", "full"])
 def test_the_linear_budget_of_a_position_is_confirmed(effects, settings):
-    known = fitted(*effects)
+    known = fitted("stage31", *effects)
     found = position_monte_carlo(known, SOMEWHERE, settings, rng=rng(), trials=60_000, digits=1)
     for column, c in found.items():
         assert c.verdict == "confirmed", column

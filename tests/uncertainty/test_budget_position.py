@@ -12,7 +12,6 @@ from twins import HALL, SIGMAS, phi, pm, record, true_model, white, with_arrays,
 
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, fit
-from hallsym.log import Log
 from hallsym.uncertainty import Settings, notes, over_log, position_budget, uncertainty_map
 from hallsym.uncertainty.inputs import slopes
 
@@ -30,13 +29,10 @@ EVERYTHING = Settings(
 
 
 @cache
-def log() -> Log:
-    return with_noise(record(seed=1))
-
-
-@cache
-def fitted(name: str = "stage31") -> Fit:
-    return fit(log(), name, solver="direct", loss="none", accept=["all"])
+def fitted(name: str = "stage31", *effects: str) -> Fit:
+    return fit(
+        with_noise(record(seed=1)), name, effects=effects, solver="direct", loss="none", accept=["all"]
+    )
 
 
 def columns(at: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
