@@ -80,6 +80,17 @@ SENTENCES = [
     ("budget calib.json --noise z_ref_m=1e-7", "belongs to no column"),
     ("budget calib.json --drop-bad", "about reading a LOG"),
     ("budget calib.json --monte-carlo 10", "10000 or more"),
+    # codegen, tolerances
+    *((f"codegen calib.json -o o --range {text}", says) for text, says in (
+        ("z_um=5:-5", "lesser to the greater"), ("zz_um=1:2", "Unknown key"), ("z_um=a:b", "such as z_um"),
+        ("z=1:2", "unit"), ("z_m=-1e9:1e9", "wider than a machine travels"),
+        ("hall_a_m=-1e9:1e9", "wider than a machine travels"))),
+    ("tolerances --along x_m --set theta_A_deg=0.1", "state its range"),
+    ("tolerances --along x_um=-3:3 --set theta_A_km=1", "must end with a unit"),
+    ("tolerances --along x_um=-3:3 --samples 32", "machines that are drawn"),
+    ("tolerances --along x_um=-3:3", "needs a cause"),
+    ("tolerances --set theta_A_deg=0.1", "give --along"),
+    ("tolerances --samples 100", "power of two"),
     # sensitivity, sort
     ("sensitivity", "needs a calibration and its log"),
     ("sensitivity calib.json log.csv --plan", "a log or --plan, not both"),

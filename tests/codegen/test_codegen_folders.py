@@ -148,24 +148,6 @@ def test_another_table_and_no_folder_are_refused(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("z_um=5:-5", "lesser to the greater"),
-        ("zz_um=1:2", "Unknown key"),
-        ("z_um=a:b", "such as z_um"),
-        ("z=1:2", "unit"),
-        ("z_m=-1e9:1e9", "wider than a machine travels"),
-        ("hall_a_m=-1e9:1e9", "wider than a machine travels"),
-    ],
-)
-def test_ranges_that_cannot_be(tmp_path, capsys, text, says):
-    code, _, err = run(capsys, "codegen", GOLDEN / "calib.json", "-o", tmp_path / "o", "--range", text)
-    assert code == 2
-    assert says in err
-    assert not (tmp_path / "o").exists()
-
-
-@pytest.mark.parametrize(
     ("change", "says"),
     [
         (lambda r: r["log"]["span"].update(z_m=[2.5e-4, -2.5e-4]), "z_m was recorded from 0.00025 to"),

@@ -109,30 +109,7 @@ def test_a_tangent_has_value_and_slope_of_the_exact_cost() -> None:
     assert np.allclose(other.at(p).derivatives()[1], own.at(p).derivatives()[1], atol=1e-6 * scale)
 
 
-# -- text of an effect -------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("hysteresis:half_with_m=1e-5", "did you mean 'half_width_m'"),
-        ("hysteresis:half_width_m=wide", "must be a number"),
-        ("hysteresis:half_width_m=-1", "must be a positive number"),
-        ("hysteresis:", "must be a name"),
-        ("hysteresis:half_width_m", "must be a name, or a name with its numbers"),
-        ("odd_nonlinearity:order=4", "must be one of 3, 5"),
-        ("gain_time_drift:settling_s=3,degree=2", "exclude each other"),
-        ("mount_slip:probe=Q,instant_s=3", "must be one of A, B, C"),
-        ("saturation:low_m=1/2,high_m=1/2", "3 numbers each"),
-        ("exact_rotation:order=3", "takes no numbers"),
-        ("reference_scale_error:order=3", "takes no numbers"),
-        ("clock_jiter", "Effect must be one of"),
-    ],
-)
-def test_a_bad_text_is_one_clear_sentence(text: str, said: str) -> None:
-    with pytest.raises(InputError, match=said) as refused:
-        build("stage31", added=(text,))
-    assert "\n" not in str(refused.value)
+# -- what a log does not show --------------------------------------------------------------------------
 
 
 def test_what_the_log_does_not_show_or_hold_is_said() -> None:

@@ -90,6 +90,40 @@ def test_expressions_that_models_share_are_those_of_a_model_by_itself(family) ->
             assert np.allclose(*read, rtol=1e-12, atol=1e-13)
 
 
+@pytest.mark.parametrize(
+    ("model", "text", "said"),
+    [
+        ("stage31", "hysteresis:half_with_m=1e-5", "did you mean 'half_width_m'"),
+        ("stage31", "hysteresis:half_width_m=wide", "must be a number"),
+        ("stage31", "hysteresis:half_width_m=-1", "must be a positive number"),
+        ("stage31", "hysteresis:", "must be a name"),
+        ("stage31", "hysteresis:half_width_m", "must be a name, or a name with its numbers"),
+        ("stage31", "odd_nonlinearity:order=4", "must be one of 3, 5"),
+        ("stage31", "gain_time_drift:settling_s=3,degree=2", "exclude each other"),
+        ("stage31", "mount_slip:probe=Q,instant_s=3", "must be one of A, B, C"),
+        ("stage31", "saturation:low_m=1/2,high_m=1/2", "3 numbers each"),
+        ("stage31", "exact_rotation:order=3", "takes no numbers"),
+        ("stage31", "clock_jiter", "Effect must be one of"),
+        ("rotary", "cross_axis_sensitivity", "belongs to stage models; model rotary is of family rotary"),
+        ("rotary", "mount_slip:probe=A,instant_s=2", "belongs to stage models"),
+        ("rotary", "reference_pole_pair", "did you mean 'reference_pole_pairs'"),
+        ("rotary", "reference_pole_pairs:periods=0.5", "periods per turn"),
+        ("rotary", "hysteresis:half_width_m=1e-5", "did you mean 'half_width_rad'"),
+        ("rotary", "uniform_stray_field:runs=1/2,source=speed", "exclude each other"),
+        ("rotary", "uniform_stray_field:runs=1.5", "run numbers"),
+        ("rotary", "saturation:low_v=1,high_v=1", "2 numbers each"),
+        ("rotary", "saturation:level=0.9", "where only the angle is read"),
+        ("rotary", "gain_time_drift:settling_s=0", "positive"),
+        ("rotary", "eccentricity:form=chipped", "chip, both, curved"),
+        ("stage31", "reference_pole_pairs", "belongs to rotary models; model stage31 is of family stage"),
+    ],
+)
+def test_a_bad_text_is_one_clear_sentence(model: str, text: str, said: str) -> None:
+    with pytest.raises(InputError, match=said) as refused:
+        build(model, added=(text,))
+    assert "\n" not in str(refused.value)
+
+
 def layout_of(model: Model) -> Meta:
     return Meta(probes=[dict(p.entry) for p in model.layout])
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from twins import altered
 
 import hallsym
 from hallsym.cli.main import main
@@ -49,31 +50,7 @@ def test_a_name_of_two_families_is_that_of_the_model() -> None:
     assert "d1_x_ref_m" in build("stage31", added=("time_skew",)).state
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("cross_axis_sensitivity", "belongs to stage models; model rotary is of family rotary"),
-        ("mount_slip:probe=A,instant_s=2", "belongs to stage models"),
-        ("reference_pole_pair", "did you mean 'reference_pole_pairs'"),
-        ("reference_pole_pairs:periods=0.5", "periods per turn"),
-        ("hysteresis:half_width_m=1e-5", "did you mean 'half_width_rad'"),
-        ("uniform_stray_field:runs=1/2,source=speed", "exclude each other"),
-        ("uniform_stray_field:runs=1.5", "run numbers"),
-        ("saturation:low_v=1,high_v=1", "2 numbers each"),
-        ("saturation:level=0.9", "where only the angle is read"),
-        ("gain_time_drift:settling_s=0", "positive"),
-        ("eccentricity:form=chipped", "chip, both, curved"),
-        ("harmonics:order=3", "takes no numbers"),
-    ],
-)
-def test_a_bad_text_of_an_encoder_is_one_clear_sentence(text: str, said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        build("rotary", added=(text,))
-
-
-def test_effects_of_encoders_are_no_effects_of_stages() -> None:
-    with pytest.raises(InputError, match="belongs to rotary models; model stage31 is of family stage"):
-        build("stage31", added=("reference_pole_pairs",))
+def test_effects_of_voltages_are_none_of_an_angle() -> None:
     for text in ONLY["voltages"]:
         with pytest.raises(InputError, match="reads the angle alone"):
             make_of(text)(bare("angle"))
@@ -210,8 +187,7 @@ def calib(tmp_path_factory) -> Path:
 
 def test_swapped_voltages_are_said_where_a_calibration_is_judged(calib: Path, tmp_path: Path, capsys) -> None:
     right = encoder(None)
-    c = {name: right.array(name) for name in right.columns}
-    swapped = Log.from_arrays(c | {"v_sin_v": c["v_cos_v"], "v_cos_v": c["v_sin_v"]})
+    swapped = altered(right, v_sin_v=right.array("v_cos_v"), v_cos_v=right.array("v_sin_v"))
     log = str(tmp_path / "log.csv")
     hallsym.write_log(swapped, log)
     assert main(["evaluate", str(calib), log]) == 2

@@ -60,18 +60,3 @@ def test_command(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "57.64" in said
     assert (tmp_path / "errors.png").stat().st_size > 10_000
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--along", "x_m", "--set", "theta_A_deg=0.1"], "state its range"),
-        (["--along", "x_um=-3:3", "--set", "theta_A_km=1"], "must end with a unit"),
-        (["--along", "x_um=-3:3", "--samples", "32"], "machines that are drawn"),
-        (["--along", "x_um=-3:3"], "needs a cause"),
-        (["--set", "theta_A_deg=0.1"], "give --along"),
-    ],
-)
-def test_refusals_of_the_command(words, said, capsys):
-    assert main(["tolerances", *words]) == 2
-    assert said in capsys.readouterr().err
