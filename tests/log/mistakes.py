@@ -14,12 +14,11 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from twins import six_runs
+from twins import SIGMAS, six_runs
 
 from hallsym.families import build, published
 from hallsym.log import Log, Noise, Sigma
 from hallsym.simulation import NoiseModel, paper_campaign, read_campaign, simulate
-from hallsym.simulation.paper import VERTICAL_NOISE
 
 Arrays = dict[str, np.ndarray]
 Make = Callable[[Arrays], Arrays | None]
@@ -27,8 +26,6 @@ Make = Callable[[Arrays], Arrays | None]
 
 STAGE = ("57 runs", "6 runs")
 ENCODER = ("encoder",)
-SIGMA = {"hall_a_m": 5e-7, "hall_b_m": 5e-7, "hall_c_m": 5e-7, "x_ref_m": 1e-6, "y_ref_m": 1.4e-6}
-SIGMA |= {"rz_ref_rad": 5e-7} | VERTICAL_NOISE
 ENCODER_SIGMA = {"v_sin_v": 3.5e-4, "v_cos_v": 3.5e-4, "angle_ref_rad": 2e-5}
 
 
@@ -76,7 +73,7 @@ def _base(name: str) -> tuple[Arrays, Noise]:
         arrays = simulate(model, {"zero": 0.6}, campaign, NoiseModel(sigma), seed=1)
     else:
         campaign = paper_campaign() if name == "57 runs" else six_runs()
-        model, sigma = build("stage31"), SIGMA
+        model, sigma = build("stage31"), SIGMAS
         truth = published.values("table7_estimates")
         arrays = simulate(model, truth, campaign, NoiseModel(sigma), seed=1)
     return arrays, Noise({column: Sigma(value, "given") for column, value in sigma.items()})
