@@ -1,5 +1,7 @@
 """Calibrations in files: what is saved comes back, and what is not hallsym's is refused."""
 
+import json
+
 import numpy as np
 import pytest
 from msgspec.structs import fields
@@ -64,6 +66,14 @@ def test_saving_and_loading_keeps_every_field(rich, tmp_path):
     )  # fmt: skip
     path.write_text(path.read_text().replace('"fixed"', '"held"'))  # as an earlier version of the format
     assert load_fit(path).to_dict() == rich.to_dict()
+    raw = json.loads(path.read_text())
+    assert list(raw)[:2] == ["format", "goodness_of_fit"]
+    assert raw.pop("goodness_of_fit")["statement"] == rich.goodness.sentence  # a still earlier one had none
+    for entry in raw["parameters"].values():
+        del entry["degrees_of_freedom"]
+    path.write_text(json.dumps(raw))
+    assert load_fit(path).goodness is None
+    assert np.all(np.isinf(load_fit(path).degrees_of_freedom))
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """What a fit leaves is told from noise: significant is a matter of statistics, material one of size."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +8,7 @@ import pytest
 from scipy.stats import chi2
 from twins import COLUMNS, HALL, SIGMAS, cost_on, record, true_model, with_noise
 
-from hallsym import bundled_campaign, fit, load_fit, read_log
+from hallsym import bundled_campaign, fit, read_log
 from hallsym.estimation.goodness_of_fit import goodness_of
 from hallsym.estimation.optimum import refit
 from hallsym.estimation.task import lower_bound
@@ -94,25 +93,6 @@ def test_coloured_noise_has_fewer_samples_than_there_are():
     costs = np.array([g.cost_per_degree_of_freedom for g in found])
     assert np.mean([g.degrees_of_freedom for g in found]) < 0.6 * 57 * 49 * 3
     assert costs.std() == pytest.approx(np.mean([g.scatter for g in found]), rel=0.5)
-
-
-def test_the_record_survives_the_file(tmp_path):
-    result = fit(bundled_campaign(), "stage30", solver="direct", accept=["all"])
-    result.save(tmp_path / "calib.json")
-    known = load_fit(tmp_path / "calib.json")
-    assert known.goodness == result.goodness
-    assert np.array_equal(known.degrees_of_freedom, result.degrees_of_freedom)
-    assert known.combinations == result.combinations
-    raw = json.loads((tmp_path / "calib.json").read_text())
-    assert list(raw)[:2] == ["format", "goodness_of_fit"]
-    assert raw["goodness_of_fit"]["statement"] == result.goodness.sentence
-    del raw["goodness_of_fit"]  # of an earlier version
-    for entry in raw["parameters"].values():
-        del entry["degrees_of_freedom"]
-    (tmp_path / "old.json").write_text(json.dumps(raw))
-    old = load_fit(tmp_path / "old.json")
-    assert old.goodness is None
-    assert np.all(np.isinf(old.degrees_of_freedom))
 
 
 # -- significant and material -------------------------------------------------------------------------------
