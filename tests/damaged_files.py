@@ -19,6 +19,7 @@ import signal
 import sys
 import tempfile
 import time
+import tomllib
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -316,11 +317,7 @@ def make_files(folder: Path) -> None:
     meta = {
         "case_id": "six", "base_model": "stage31", "validation_runs": [int(columns["run"][-1])],
         "nominal": {"eta_A": 0.9}, "noise_1sigma": {"hall_m": 5e-7}, "gap_length_scale_m": 0.2,
-        "probes": [
-            {"channel": "hall_a_m", "position_m": [0.1975, 0.4], "senses": [0, 1]},
-            {"channel": "hall_b_m", "position_m": [-0.1975, 0.4], "senses": [0, 1]},
-            {"channel": "hall_c_m", "position_m": [0.1975, 0.36], "senses": [1, 0]},
-        ],
+        "probes": tomllib.loads(MACHINE)["probes"],
     }  # fmt: skip
     (folder / "folder" / "meta.json").write_text(json.dumps(meta, indent=1), encoding="utf-8")
     hallsym.fit(hallsym.read_log(folder / "log.parquet"), "stage31", solver="direct").save(

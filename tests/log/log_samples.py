@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -35,12 +36,19 @@ def one_sentence(message: str) -> bool:
     return "\n" not in message and message.endswith(".") and 20 < len(message) < 500
 
 
+@contextmanager
+def refusal(says: str, name: str = "") -> Iterator[None]:
+    """What is done within is refused in one sentence."""
+    with pytest.raises(InputError, match=says) as caught:
+        yield
+    assert one_sentence(str(caught.value)), caught.value
+    assert name in str(caught.value)
+
+
 def refused(path: Path, says: str, **options: Any) -> None:
     """A file is refused in one sentence that names it."""
-    with pytest.raises(InputError, match=says) as caught:
+    with refusal(says, path.name):
         check_log(read_log(path, **options))
-    assert one_sentence(str(caught.value)), caught.value
-    assert path.name in str(caught.value)
 
 
 def save(columns: Mapping[str, np.ndarray], path: Path) -> None:
