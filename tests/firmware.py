@@ -283,8 +283,6 @@ class Library:
         self.dtype, self.d = np.dtype(NUMBERS[code.backend.inputs[0].type]), code.decoupler
         self.fields = [(port.column, NUMBERS[port.type]) for port in code.backend.outputs]
         self.fields += [("suspect", "u4")] * self.d.suspects  # it lies behind the pose
-        for name in ("decoupler_step", "decoupler_zero", "decoupler_check"):
-            getattr(self.library, name).restype = ctypes.c_uint32
         size = len((folder / "table/decoupler_params.bin").read_bytes())
         table = (ctypes.c_ubyte * size).in_dll(self.library, "decoupler_params")
         self.table = np.frombuffer(bytes(table), dtype=np.uint8).copy()
@@ -293,7 +291,7 @@ class Library:
         """Return pose (n_pose, s), status (s,) and suspects (s,) of samples (n, s)."""
         given = np.ascontiguousarray(inputs.T, self.dtype)
         out, status = np.zeros(len(given), self.fields), np.zeros(len(given), np.uint32)
-        self._call("batch", self.table, given, out, status, count=len(given))
+        self.call("batch", self.table, given, out, status, ctypes.c_uint32(len(given)))
         suspects = out["suspect"] if self.d.suspects else np.zeros(len(given), int)
         return np.array([out[c] for c in self.d.pose]), status, suspects
 
@@ -305,12 +303,15 @@ class Library:
     def zero(self, inputs: np.ndarray, pose: np.ndarray) -> int:
         """Take the zero; the table changes."""
         given = np.ascontiguousarray(inputs, self.dtype)
-        return self._call("decoupler_zero", self.table, given, np.ascontiguousarray(pose, self.dtype))
+        return self.call("decoupler_zero", self.table, given, np.ascontiguousarray(pose, self.dtype))
 
     def check(self) -> int:
         """Return the findings about the table as it is now."""
-        return self._call("decoupler_check", self.table)
+        return self.call("decoupler_check", self.table)
 
-    def _call(self, name: str, *arrays: np.ndarray, count: int | None = None) -> int:
-        more = [] if count is None else [ctypes.c_uint32(count)]
-        return getattr(self.library, name)(*(a.ctypes.data_as(ctypes.c_void_p) for a in arrays), *more)
+    def call(self, name: str, *given: Any) -> int:
+        """Call a function of the library with arrays and numbers of C."""
+        pointers = [g.ctypes.data_as(ctypes.c_void_p) if isinstance(g, np.ndarray) else g for g in given]
+        function = getattr(self.library, name)
+        function.restype = ctypes.c_uint32
+        return function(*pointers)

@@ -5,7 +5,6 @@ holds for C of every kind is in `test_codegen_every`. What is missing is skipped
 integration everything must be there.
 """
 
-import ctypes
 import re
 from functools import cache
 from pathlib import Path
@@ -192,11 +191,7 @@ def implied(case):
 
 def slopes_of(library, inputs, shape):
     out = np.zeros(shape, library.dtype)
-    call = library.library.decoupler_jacobian
-    call.restype = ctypes.c_uint32
-    inputs = np.asarray(inputs, library.dtype)
-    given = (library.table, inputs, out)
-    return call(*(a.ctypes.data_as(ctypes.c_void_p) for a in given)), out
+    return library.call("decoupler_jacobian", library.table, np.asarray(inputs, library.dtype), out), out
 
 
 @pytest.mark.slow

@@ -5,12 +5,13 @@ Independent facts: a machine at constant speed is where it will be; steady accel
 finite finite.
 """
 
-import ctypes
+from copy import copy
+from ctypes import c_float, c_uint32
 from functools import cache
 
 import numpy as np
 import pytest
-from firmware import STRICT, calibration, need, passes, ran, written
+from firmware import Library, calibration, need, passes, written
 
 import hallsym
 from hallsym.codegen import Observer, followed, observer_of
@@ -24,39 +25,30 @@ def observed():
     return observer_of(calibration(), hallsym.bundled_campaign())
 
 
+@cache
+def generated():
+    return hallsym.generate(calibration(), observer=Observer(10.0, PERIOD, latency_s=0.002))
+
+
 @pytest.fixture(scope="module")
 def tracker(tmp_path_factory):
     need("gcc")
-    folder = tmp_path_factory.mktemp("predict") / "fw"
-    written(hallsym.generate(calibration(), observer=Observer(10.0, PERIOD, latency_s=0.002)), folder)
-    sources = ["decoupler.c", "decoupler_check.c", "decoupler_params.c"]
-    ran(folder, "gcc", *STRICT, "-shared", "-fPIC", *sources, "-o", "predict.so")
-    return _Tracker(ctypes.CDLL(str(folder / "predict.so")))
+    return Tracker(written(generated(), tmp_path_factory.mktemp("predict") / "fw"), generated())
 
 
-class _Tracker:
-    def __init__(self, library):
-        self.library, self.table = library, ctypes.c_ubyte.in_dll(library, "decoupler_params")
-        self.start()
+class Tracker(Library):
+    """Three positions with their speeds, a gap and a number of samples."""
 
     def start(self):
-        self.state = np.zeros(8, np.float32)  # three positions with their speeds, gap, samples
+        self.state = np.zeros(8, np.float32)
 
     def track(self, pose, dt, status=0):
-        given = np.asarray(pose, np.float32)
-        pointers = (given.ctypes.data, status, ctypes.c_float(dt))
-        self.library.decoupler_track(
-            ctypes.byref(self.table), ctypes.c_void_p(self.state.ctypes.data), ctypes.c_void_p(pointers[0]),
-            ctypes.c_uint32(status), pointers[2],
-        )  # fmt: skip
+        at = np.asarray(pose, np.float32)
+        self.call("decoupler_track", self.table, self.state, at, c_uint32(status), c_float(dt))
 
     def predict(self, ahead):
         out = np.zeros(3, np.float32)
-        bits = self.library.decoupler_predict(
-            ctypes.byref(self.table), ctypes.c_void_p(self.state.ctypes.data), ctypes.c_float(ahead),
-            ctypes.c_void_p(out.ctypes.data),
-        )  # fmt: skip
-        return out, bits
+        return out, self.call("decoupler_predict", self.table, self.state, c_float(ahead), out)
 
 
 def test_a_machine_at_constant_speed_is_where_it_will_be_latency_included(tracker):
@@ -101,14 +93,15 @@ TIMES = (PERIOD, 0.03, 1e-6, 0.017, 10.0, np.nan, -1.0, np.inf, 1e30)
 @pytest.mark.parametrize("side", [None, 0, 1])
 def test_whatever_comes_the_prediction_is_finite(tracker, side):
     """With the numbers of the observer at their least and greatest values too."""
-    code = hallsym.generate(calibration(), observer=Observer(10.0, PERIOD, latency_s=0.002))
-    table, rng = bytes(code.backend.binary), np.random.default_rng(3)
+    code, rng = generated(), np.random.default_rng(3)
+    table = bytes(code.backend.binary)
     for name in OBSERVED if side is not None else ():
         value = next(e.value for e in code.decoupler.entries if e.name == name)
         end = code.backend.accepted[name][side]
         table = table.replace(np.float32(value).tobytes(), np.float32(end).tobytes())
-    other = _Tracker(tracker.library)
-    other.table = (ctypes.c_ubyte * len(table)).from_buffer_copy(table)
+    other = copy(tracker)
+    other.start()
+    other.table = np.frombuffer(table, dtype=np.uint8).copy()
     for _ in range(5000):
         other.track(rng.uniform(-1e-3, 1e-3, 3), rng.choice(TIMES), status=int(rng.integers(0, 2)))
         found, _ = other.predict(rng.choice((0.0, 0.02, 10.0, np.nan, np.inf, 1e30)))
