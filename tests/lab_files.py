@@ -630,19 +630,18 @@ def millivolt(x: np.ndarray) -> np.ndarray:
     return np.round(1e3 * x + 2048)
 
 
-SCOPE = {"t_s": (Known("x-axis", "s"), as_it_is), "v_sin_v": (Known("SIN", "v"), as_it_is),
-         "v_cos_v": (Known("COS", "v"), as_it_is),
-         "angle_ref_rad": (Known("REF", "deg"), np.degrees)}  # fmt: skip
-TEKTRONIX = {"t_s": (Known("TIME", "s"), as_it_is), "v_sin_v": (Known("CH1", "v"), as_it_is),
-             "v_cos_v": (Known("CH2", "v"), as_it_is),
-             "angle_ref_rad": (Known("CH3", "rad"), as_it_is)}  # fmt: skip
-CHANNELS = {"t_s": (Known("Time", "s"), as_it_is), "v_sin_v": (Known("Channel 0", "v"), as_it_is),
-            "v_cos_v": (Known("Channel 1", "v"), as_it_is),
-            "angle_ref_rad": (Known("Channel 2", "deg"), np.degrees)}  # fmt: skip
+def encoder(t, sin, cos, reference, unit="deg", values=np.degrees):
+    """Columns of an encoder's voltages under the names of an instrument."""
+    as_they_are = {"t_s": Known(t, "s"), "v_sin_v": Known(sin, "v"), "v_cos_v": Known(cos, "v")}
+    known = {c: (about, as_it_is) for c, about in as_they_are.items()}
+    return known | {"angle_ref_rad": (Known(reference, unit), values)}
+
+
+SCOPE = encoder("x-axis", "SIN", "COS", "REF")
+TEKTRONIX = encoder("TIME", "CH1", "CH2", "CH3", "rad", as_it_is)
+CHANNELS = encoder("Time", "Channel 0", "Channel 1", "Channel 2")
+UNITLESS_TURN = encoder("t", "sin", "cos", "theta", "rad", lambda x: x % TURN)
 RIGOL = TEKTRONIX | {"t_s": (Known("X", "s", 5e-3), lambda t: np.round(t / 5e-3))}
-UNITLESS_TURN = {"t_s": (Known("t", "s"), as_it_is), "v_sin_v": (Known("sin", "v"), as_it_is),
-                 "v_cos_v": (Known("cos", "v"), as_it_is),
-                 "angle_ref_rad": (Known("theta", "rad"), lambda x: x % TURN)}  # fmt: skip
 SERIAL = {"run": (Known("pass"), as_it_is), "t_s": (Known("millis", "ms"), lambda t: np.round(1e3 * t)),
           "v_sin_v": (Known("adc_sin", "v", 1e-3, -2.048), millivolt),
           "v_cos_v": (Known("adc_cos", "v", 1e-3, -2.048), millivolt),

@@ -410,10 +410,8 @@ def sign(role: Role) -> Make:
         d.legal = d.r.family in ENCODERS and not d.runs
         if c in _moving_alone(d):
             d.say(f"sign {names(d.r.readings)}")
-        if (
-            d.r.family == "halbach" and c == "x_ref_m" and len(d.r.readings) == 3
-        ):  # columns from the other end
-            d.say(f"exchange {d.r.readings[0]} {d.r.readings[2]}")
+        if c == "x_ref_m":
+            d.right += [f"exchange {a} {b}{d.where}" for a, b in _ends(d)]
 
     return make
 
@@ -432,6 +430,11 @@ def all_signs(d: Draft) -> None:
         d.say(f"zero_moved {column} {step:.9g}")
         d.say(f"zero_moved {column} {-step:.9g}")
     d.legal = d.r.family == "homed" or (not d.runs and d.r.family in ("rotary", "halbach", "planar"))
+
+
+def _ends(d: Draft) -> list[tuple[str, str]]:
+    """The outer two of three columns of an array: exchanged, the third stays, and x counts the other way."""
+    return [(d.r.readings[0], d.r.readings[2])] if d.r.family == "halbach" and len(d.r.readings) == 3 else []
 
 
 def _moving_alone(d: Draft) -> list[str]:
@@ -455,16 +458,13 @@ def scaled(role: Role, factor: float, *, every: bool = False) -> Make:
         elif columns == _moving_alone(d):
             d.say(f"scale {names(d.r.readings)} {factor:.9g}")
         others = [c for c in d.r.readings if c not in columns]
-        if (
-            d.r.family in ("rotary", "homed")
-            and columns[0] in d.r.readings
-            and others
-            and not d.runs
-            and 0.01 < factor < 100
-        ):
+        if d.runs:
+            return
+        two_voltages = d.r.family in ("rotary", "homed")
+        if two_voltages and columns[0] in d.r.readings and others and 0.01 < factor < 100:
             d.say(f"scale {names(others)} {factor:.9g}")
-        amplitude_is_free = d.r.family in ("rotary", "homed", "halbach", "planar")
-        d.legal = amplitude_is_free and columns == d.r.readings and not d.runs
+        amplitude_is_free = two_voltages or d.r.family in ARRAYS
+        d.legal = amplitude_is_free and columns == d.r.readings
 
     return make
 
@@ -487,11 +487,7 @@ def exchanged(role: Role) -> Make:
         d.columns += [one, two]
         d.say(f"exchange {one} {two}")
         d.legal = d.r.family in ENCODERS and not d.runs
-        if (
-            d.r.family == "halbach"
-            and [one, two] == [f"col_{k}_v" for k in (0, 2)]
-            and len(d.r.readings) == 3
-        ):
+        if (one, two) in _ends(d):
             d.say("sign x_ref_m")
 
     return make

@@ -2,7 +2,17 @@
 
 import numpy as np
 import pytest
-from twins import SIGMAS, TRUTH, combinations_of_effects, cost_on, phi, record, true_model, with_noise
+from twins import (
+    SIGMAS,
+    TRUTH,
+    combinations_of_effects,
+    cost_on,
+    phi,
+    record,
+    simulated,
+    true_model,
+    with_noise,
+)
 
 from hallsym.estimation import fit
 from hallsym.estimation.factors import RunStatistics
@@ -55,10 +65,7 @@ def test_null_directions_leave_readings_alone_and_no_other_does(name, effects):
 
 
 def only(runs, sigma=SIGMAS, samples: int = 50, seed: int = 2):
-    columns = simulate(
-        build("stage31"), TRUTH, Campaign(1 / samples, tuple(runs)), NoiseModel(sigma), seed=seed
-    )
-    return with_noise(columns)
+    return simulated(build("stage31"), TRUTH, Campaign(1 / samples, tuple(runs)), sigma, seed)
 
 
 Z0, RX0, RY0 = 1.5e-4, -2e-4, 1e-4
