@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from hallsym.errors import InputError, counted, few, nearest
+from hallsym.log.arrow import DAY_S
 from hallsym.log.columns import RUN, T, is_moving, is_time_word
 from hallsym.log.pace import Paced
 from hallsym.log.table import IN_MEMORY_ROWS, TIME, Source, exact
@@ -18,6 +19,7 @@ from hallsym.units import UNITS, Array, Unit, split_unit
 
 RUN_SPACING_S = 1e6
 """Seconds between runs where a clock starts again in each: longer than any run lasts."""
+DAY_NS = round(DAY_S * 1e9)
 MOTION = {"m", "rad", "v", "t", "count"}
 """SI units of readings and references; rows at the samples of a temperature alone would miss the motion."""
 
@@ -91,9 +93,15 @@ class Group:
 
 
 def on_one_scale(groups: Sequence[Group]) -> bool:
-    """Read clocks; those that state a moment count from the earliest one; whether they start again by run."""
+    """Read clocks; those that state a moment count from the earliest one; whether they start again by run.
+
+    A clock with times of day alone is on the day on which it begins nearest to the others.
+    """
     by_run = all(RUN in g.channels for g in groups)
     moments = {g: moment for g in groups if (moment := g.begin(by_run)) is not None}
+    dated = [moment for moment in moments.values() if moment >= DAY_NS]
+    for g in (g for g, moment in moments.items() if dated and moment < DAY_NS):
+        moments[g] += DAY_NS * round((min(dated) - moments[g]) / DAY_NS)
     for g, moment in moments.items():
         g.time = g.time + (moment - min(moments.values())) * 1e-9
     return by_run
@@ -340,7 +348,8 @@ class GroupedSource(Source):
             if begin >= end:
                 raise InputError(
                     f"{master.name} ({first:.6g} to {last:.6g} s) and {g.name} ({g.ends[0]:.6g} to"
-                    f" {g.ends[1]:.6g} s) of {self.where} must overlap in time; count both from one start."
+                    f" {g.ends[1]:.6g} s) of {self.where} must overlap in time; count both from one start: if"
+                    f" they began together, add {first - g.ends[0]:.6g} s to the times of {g.name}."
                 )
         return begin, end
 

@@ -189,3 +189,9 @@ def test_moments_put_two_files_on_one_clock(tmp_path: Path, suffix: str) -> None
     log = read_log([tmp_path / f"hall_a_um{suffix}", tmp_path / f"x_ref_um{suffix}"])
     assert log.rows == 250
     assert log.array("hall_a_m") == pytest.approx(log.array("x_ref_m"), abs=1e-15)
+    for day in (0, 1):  # a time of day alone is on the day that is nearest
+        begin = np.datetime64("2026-01-01T23:59:59.8", "ms") + np.round(1e3 * t).astype("timedelta64[ms]")
+        rows = [f"{at.astype(str)[11 * day :]},{1e6 * float(s)!r}" for at, s in zip(begin, t, strict=True)]
+        (tmp_path / f"{'xy'[day]}.csv").write_text("\n".join(["time,{}_ref_um".format("xy"[day]), *rows, ""]))
+    log = read_log([tmp_path / "x.csv", tmp_path / "y.csv"])
+    assert log.array("x_ref_m") == pytest.approx(log.array("y_ref_m"), abs=1e-9)
