@@ -16,8 +16,8 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.families import FAMILIES, build, default_model, family_called
 from hallsym.log import Meta
-from hallsym.log.columns import RUN_WORDS, TIME_WORDS, UNNAMED, limit_of
-from hallsym.log.table import Source
+from hallsym.log.columns import RUN_WORDS, TIME_WORDS, UNNAMED, WORDS, limit_of, numbers_runs
+from hallsym.log.table import SHOWN_ROWS, Source
 from hallsym.model import Model
 from hallsym.output import printable, toml_text
 from hallsym.units import UNITS, Array, quantity, si_name, split_unit
@@ -44,7 +44,6 @@ _SAME: dict[str, tuple[str, ...]] = {
     "speed": ("speed", "velocity", "rpm"),
 }  # fmt: skip
 _WORDS = {word: token for token, words in _SAME.items() for word in words}
-_SPLIT = re.compile(r"[A-Z]{2,}(?![a-z])|[A-Z]?[^\W\d_A-Z]+|[A-Z]|\d+")
 _IDLE = {"v", "pos", "position", "value", "signal", "raw", "data", "meas", "stage", "out", "val", "the", "of"}
 """Words that tell nothing."""
 FULL, MORE, NUMBERED, BARE = 1.0, 0.9, 0.8, 0.5
@@ -61,7 +60,7 @@ def words_of(name: str, *, unit: bool = False) -> frozenset[str]:
     >>> sorted(words_of("IFM_X")), sorted(words_of("HallA_um", unit=True)), sorted(words_of("ThetaZ"))
     (['ref', 'x'], ['a', 'reading'], ['rz'])
     """
-    found = [word for part in _SPLIT.findall(name) for word in _apart(part.lower())]
+    found = [word for part in WORDS.findall(name) for word in _apart(part.lower())]
     if unit and len(found) > 1 and found[-1] in UNITS and len(found[-1]) > 1:
         found = found[:-1]
     words = {_WORDS.get(word, word) for word in found} - _IDLE
@@ -109,19 +108,26 @@ def series_of(names: Iterable[str]) -> list[dict[str, int]]:
 def _places(sets: Sequence[Mapping[str, int]], model: Model) -> dict[str, str]:
     """Return the stems of numbered names of a file: a set is as large as one of channels, references, state.
 
-    A set whose words say that it is references, or readings, is no other; one without such words is taken
-    where there is no second. Of sine and cosine the first is not known.
+    Or as all of these that have one unit. A set whose words say that it is references, or readings, is no
+    other; one without such words is taken where it fits one place alone, and no other set does. Of sine and
+    cosine the first is not known.
     """
-    stems = [[split_unit(c)[0] for c in of] for of in (model.channels, model.references, _measured(model))]
-    one_set = len({re.sub(r"(?<![a-z])[a-z]$|\d+", "", stem) for stem in stems[0]}) == 1
-    free, found = {k: own for k, own in enumerate(stems) if k or one_set}, dict[str, str]()
+    kinds = [model.channels, model.references, _measured(model)]
+    one_set = len({re.sub(r"(?<![a-z])[a-z]$|\d+", "", split_unit(c)[0]) for c in model.channels}) == 1
+    free = {
+        (k, tuple(split_unit(c)[0] for c in own if c.endswith(si)))
+        for k, of in enumerate(kinds) for own in [of] if k or one_set
+        for si in ("", *(f"_{c.rpartition('_')[2]}" for c in own))
+    }  # fmt: skip
+    found = dict[str, str]()
     words = [frozenset().union(*map(words_of, each)) & _KINDS for each in sets]
     for each, own in sorted(zip(sets, words, strict=True), key=lambda pair: not pair[1]):
-        wanted = [1] if REF in own else [0] if own else [*free] if words.count(own) == 1 else []
-        place = next((k for k in wanted if len(free.get(k, ())) == len(each)), None)
-        if place is not None:
-            found |= {name: free[place][k] for name, k in each.items()}
-            del free[place]
+        alike = [len(each) == len(other) for other, said in zip(sets, words, strict=True) if said == own]
+        wanted = {1} if REF in own else {0} if own else {0, 1, 2} if sum(alike) == 1 else ()
+        places = [of for k, of in free if k in wanted and len(of) == len(each)]
+        if len(places) == 1:
+            found |= {name: places[0][k] for name, k in each.items()}
+            free = {(k, of) for k, of in free if {*of}.isdisjoint(places[0])}
     return found
 
 
@@ -136,8 +142,6 @@ def likeness(ours: str, theirs: str) -> float:
     return BARE if found and any(word <= wanted and wanted - word == found for word in recognised) else 0.0
 
 
-ROWS = 50_000
-"""Samples that are looked at."""
 STATED, BY_SIZE = "its unit is stated", "CHECK THE UNIT: assumed from its size"
 MOVES = 0.9
 """Correlation from which a column moves as another one does: the other axes and the noise make the rest."""
@@ -173,7 +177,7 @@ class Guess:
 
     `units`: one where it is known or can be assumed, several where somebody must choose, none where nothing
     tells. `raw`: what the values are where they need a scale, such as counts. `scale`: one that serves, where
-    only ratios count.
+    only ratios count; of a turn in `raw` values nearly that, to see what follows it.
     """
 
     stem: str
@@ -188,12 +192,12 @@ class Guess:
     @property
     def unit(self) -> str:
         """The unit; "" where it is open."""
-        return self.units[0] if len(self.units) == 1 and not self.raw else ""
+        return self.units[0] if len(self.units) == 1 and (self.scale or not self.raw) else ""
 
     @property
     def open(self) -> bool:
         """Whether somebody must choose."""
-        return not self.unit and self.stem != RUN
+        return (bool(self.raw) or not self.unit) and self.stem != RUN
 
     def in_units(self, *units: str, said: str, turn: int | None = None, raw: str = "") -> Guess:
         """Return the guess with units, what is said for them, and counts per turn."""
@@ -205,7 +209,7 @@ class Guess:
         name = toml_text(self.theirs)
         more = ", sign = -1" if self.sign < 0 else ""
         more += f", counts_per_turn = {self.counts_per_turn}" if self.counts_per_turn else ""
-        more += f", scale = {self.scale!r}" if self.scale else ""
+        more += f", scale = {self.scale!r}" if self.scale and not self.raw else ""
         names = [RUN] if self.stem == RUN else [f"{self.stem}_{u}" for u in self.units or ("UNIT",)]
         entries = [f"{ours} = {{ name = {name}{more} }}" if more else f"{ours} = {name}" for ours in names]
         if self.raw:
@@ -286,12 +290,17 @@ def suggest(source: Source, model: str | None = None, meta: Meta | None = None) 
     if not data:
         source.read(source.names[-1:])  # where a line is at fault, it is named
         raise InputError("No column of the file holds numbers; nothing can be suggested.")
+    runs, named = source.run_column()
+    data.pop(runs if named else "", None)
     forms = _models(source, data, model, meta or Meta())
     tried = [(form, _guesses(source, data, form)) for form in forms]
     moving = {name for name, values in data.items() if np.ptp(values[np.isfinite(values)]) > 0}
     chosen, guesses = max(tried, key=lambda one: _covered(one[0], one[1], moving))
     order = {stem: k for k, stem in enumerate((RUN, TIME, *_stems(chosen), *OTHERS))}
     used = {g.theirs for g in guesses}
+    if runs := runs if named else source.run_column(used)[0]:
+        guesses.append(Guess(RUN, runs, (), "its name" if named else "its data"))
+        used.add(runs)
     return Suggestion(
         chosen,
         tuple(sorted(guesses, key=lambda g: order[g.stem])),
@@ -354,7 +363,7 @@ def _covered(model: Model, guesses: Sequence[Guess], moving: Collection[str]) ->
 
 def _numbers(source: Source) -> dict[str, Array]:
     """Return the first samples of the columns that hold numbers."""
-    found = {name: np.asarray(values, float) for name, values in source.numbers(most=ROWS).items()}
+    found = {name: np.asarray(values, float) for name, values in source.numbers(most=SHOWN_ROWS).items()}
     return {name: values for name, values in found.items() if np.isfinite(values).any()}
 
 
@@ -394,7 +403,7 @@ def _models(source: Source, data: Mapping[str, Array], name: str | None, meta: M
 
 def _series(data: Mapping[str, Array]) -> list[dict[str, int]]:
     """Return the sets of numbered columns (`series_of`) that are neither runs nor times."""
-    return series_of(n for n, x in data.items() if not (_behaves(RUN, x) or _behaves(TIME, x)))
+    return series_of(n for n, x in data.items() if not (numbers_runs(x) or _is_clock(x)))
 
 
 def _overlap(columns: Sequence[Array]) -> bool:
@@ -422,11 +431,11 @@ def _matched(source: Source, data: Mapping[str, Array], model: Model) -> list[tu
     paths = {name: path for path, name in source.aliases.items()}  # Hall/A
     own = {name: o if (o := _own(name)) in (RUN, TIME, *stems, *OTHERS) else "" for name in data}
     series, pairs = _places(_series(data), model), []
-    for stem in (RUN, TIME, *stems, *OTHERS):
+    for stem in (TIME, *stems, *OTHERS):
         for name, values in data.items():
             if own[name] not in ("", stem, stem.removesuffix("_ref")):
                 continue  # a name of ours is not another one of ours
-            if stem in (RUN, TIME) and not _behaves(stem, values):
+            if stem == TIME and not _is_clock(values):
                 continue
             like = max(likeness(stem, name), likeness(stem, paths.get(name, name)))
             fits = _unit_fits(source, name, stem, model)
@@ -434,13 +443,12 @@ def _matched(source: Source, data: Mapping[str, Array], model: Model) -> list[tu
                 like = NUMBERED if series[name] == stem else 0.0
             if fits or (like > BARE and stem in stems):  # in V or counts it lacks a scale
                 pairs.append((like if fits else like / 2, stem, name))
-            by_unit = not words_of(name, unit=True) and _stated(source, name) and stem not in (RUN, TIME)
-            by_unit = by_unit or (stem == TIME and _stated(source, name) == name.lower())
+            unit, unnamed = _stated(source, name), not words_of(name, unit=True)
+            by_unit = unit == name.lower() if stem == TIME else bool(unit and unnamed)
             # an index or a counter is no time; moments since 1970 are one, and ticks that stand first
             ticks = name == source.names[0] and (np.diff(values) != 1).any()
-            index = _whole(values) and values[0] < MOMENTS and not (ticks or _stated(source, name))
-            by_data = stem == RUN or (stem == TIME and not index)
-            if fits and (by_unit or by_data):
+            index = _whole(values) and values[0] < MOMENTS and not (ticks or unit)
+            if fits and (by_unit or (stem == TIME and not index)):
                 pairs.append((BARE / 2, stem, name))
     return _likeliest(pair for pair in pairs if pair[0] > 0)
 
@@ -448,24 +456,18 @@ def _matched(source: Source, data: Mapping[str, Array], model: Model) -> list[tu
 def _by_name(source: Source, data: Mapping[str, Array], model: Model) -> list[Guess]:
     found = []
     for score, stem, name in _matched(source, data, model):
-        named = score >= BARE or (words_of(name, unit=True) and stem not in (RUN, TIME))
-        why = "its name" if named else "its data" if stem in (RUN, TIME) else "its unit"
+        named = score >= BARE or (words_of(name, unit=True) and stem != TIME)
+        why = "its name" if named else "its data" if stem == TIME else "its unit"
         guess = Guess(stem, name, (), why)
         found.append(_with_unit(source, data[name], guess, model))
-    words = [name for name in source.names if name not in data and likeness(RUN, name) >= BARE]
-    if words and all(guess.stem != RUN for guess in found):
-        found.append(Guess(RUN, words[0], (), "its name; runs are numbered in their order"))
     return found
 
 
-def _behaves(stem: str, values: Array) -> bool:
-    """Say whether values are such as run numbers (whole, and stay) or times (rise by even steps)."""
+def _is_clock(values: Array) -> bool:
+    """Say whether values are such as times: they rise by even steps."""
     if not np.isfinite(values).all() or len(values) < 3:
         return False
     steps = np.diff(values)
-    if stem == RUN:
-        changes = np.count_nonzero(steps)
-        return bool(_whole(values) and changes <= len(values) / 8 and (steps >= 0).all())
     usual = np.median(steps)
     return bool(usual > 0 and (np.abs(steps - usual) < 0.5 * usual).mean() > 0.8)
 
@@ -496,7 +498,7 @@ def _own(name: str) -> str:
 def _unit_fits(source: Source, name: str, stem: str, model: Model) -> bool:
     """Say whether the unit of a column, where it is stated, is one that the model takes, or counts of it."""
     stated, kinds = _stated(source, name), _kinds(stem, model)
-    return not stated or stem == RUN or UNITS[stated].si in (*kinds, *("count",) * ("rad" in kinds))
+    return not stated or UNITS[stated].si in (*kinds, *("count",) * ("rad" in kinds))
 
 
 def _kinds(stem: str, model: Model) -> tuple[str, ...]:
@@ -512,8 +514,6 @@ def _with_unit(
 
     `expected`: what the values should be in SI, which decides.
     """
-    if guess.stem == RUN:
-        return guess
     stated, kinds = _stated(source, guess.theirs), _kinds(guess.stem, model)
     behind = re.search(r".[(\[{<](.+)[)\]}>]$", guess.theirs)
     odd = behind[1] if behind and not stated else ""  # where a unit would stand
@@ -534,8 +534,8 @@ def _with_unit(
         )
     if going_round and stated:  # an output in proportion to the angle
         span = float(np.nanmax(values) - np.nanmin(values))
-        why = f"{guess.why}; CHECK THE TURN: its range of {span:.4g} {stated} is taken for one"
-        return replace(guess, units=("rad",), scale=float(f"{2 * np.pi / span:.6g}"), why=why)
+        why = f"{guess.why}; state rad per {stated}: its range is {span:.4g} {stated}"
+        return replace(guess, units=("rad",), scale=2 * np.pi / span, why=why, raw=stated)
     if stated or whole or (odd and guess.stem in _stems(model)):
         unit = {"m": "um", "rad": "urad"}.get(kinds[0], kinds[0])
         others = [] if stated else [u.name for u in units if u.name != unit]
@@ -628,7 +628,7 @@ def _by_readings(
         return list(named)
     free = [n for n in data if n not in {g.theirs for g in named} and not _own(n) and np.ptp(data[n]) > 0]
     volts = {UNITS[u].si if (u := _stated(source, n)) else "" for n in free} == {"v"}  # of an oscilloscope
-    free = [n for n in free if (volts or _unit_fits(source, n, stem, model)) and not _behaves(RUN, data[n])]
+    free = [n for n in free if (volts or _unit_fits(source, n, stem, model)) and not numbers_runs(data[n])]
     followed = []
     few = {name: values[:: -(-len(values) // TRIED)] for name, values in data.items()}
     for guess in mine or [_with_unit(source, data[n], Guess(stem, n, (), "its data"), model) for n in free]:

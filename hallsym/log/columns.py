@@ -25,7 +25,8 @@ from hallsym.units import UNITS, Array, quantity, require_unit, si_name, split_u
 
 RUN = "run"
 RUN_WORDS = (
-    "run", "pass", "scan", "sweep", "trial", "segment", "lauf", "fahrt", "messung", "measurement", "次数",
+    "run", "pass", "scan", "sweep", "trial", "test", "experiment", "segment", "measurement", "lauf", "fahrt",
+    "messung", "versuch", "次数",
 )  # fmt: skip
 TIME_WORDS = ("t", "time", "timestamp", "zeit", "clock", "elapsed", "temps", "时间", "時間")
 """Usual names of runs, and of the time."""
@@ -42,9 +43,23 @@ def is_time_word(name: str) -> bool:
     return next(reversed(re.findall(r"[^\W_]+", name.lower())), "") in TIME_WORDS
 
 
+WORDS = re.compile(r"[A-Z]{2,}(?![a-z])|[A-Z]?[^\W\d_A-Z]+|[A-Z]|\d+")
+"""The words of a name, and its numbers."""
+
+
 def is_run_word(name: str) -> bool:
-    """Say whether a word of a name is one of runs."""
-    return not {*RUN_WORDS}.isdisjoint(re.split(r"[\W_]", name.lower()))
+    """Say whether a word of a name is one of runs, as of `scan_number` and `TestID`."""
+    return not {*RUN_WORDS}.isdisjoint(word.lower() for word in WORDS.findall(name))
+
+
+def numbers_runs(values: Array) -> bool:
+    """Say whether numbers (rows,) are such as those of runs: whole, they stay, and they rise."""
+    steps, whole = np.diff(values), np.isfinite(values).all() and (values == np.floor(values)).all()
+    return bool(whole and np.count_nonzero(steps) <= len(values) / SHORTEST_RUN and (steps >= 0).all())
+
+
+SHORTEST_RUN = 8
+"""Samples of a run on average from which a column of whole numbers may be that of runs."""
 
 
 UNNAMED = re.compile(r"unnamed_\d+|\(column \d+\)|column_\d+")

@@ -104,9 +104,9 @@ def unpacked(path: Path, suffixes: tuple[str, ...], written: int) -> Path:
         unpacked = tempfile.TemporaryDirectory(prefix="hallsym-")
         _UNPACKED.append(unpacked)
         folder = Path(unpacked.name) / path.name
-        if len(members) == 1:
-            members[0].filename = Path(members[0].filename).name
         archive.extractall(folder, members)  # which lets no name lead outside the folder
+    while len(inside := [*folder.iterdir()]) == 1 and inside[0].is_dir():
+        folder = inside[0]
     return folder
 
 

@@ -232,6 +232,12 @@ def read_log(
     wanted |= again
     given_turn = (counts_per_turn, stated.counts_per_turn, meta.raw.get("counts_per_turn"))
     turn = next((counts_in_turn(counts, where) for counts in given_turn if counts is not None), None)
+    runs, sure = ("", True) if RUN in wanted else source.run_column({f.name for f in wanted.values()})
+    of_runs = [f"Runs are those of column '{runs}'."] if runs and runs.lower() != RUN else []
+    if runs and not sure:
+        of_runs = [f"Column '{runs}' may number runs: if it does, add --column run={runs}."]
+    elif of_runs:
+        wanted[RUN] = Foreign(runs)
     bindings, changed = bind(source.names, wanted, where, turn, source.units)
     table = Table(source, bindings, where)
     table.open = stated.open
@@ -250,7 +256,7 @@ def read_log(
         known = known.merged(Noise.given(values, table.columns))
     meta = replace(meta, columns=table.columns)
     unused = check_noise_keys(meta.noise_1sigma, table.columns, "meta.json", strict=False)
-    notes = [*table.notes, *said, *source.notes]
+    notes = [*table.notes, *of_runs, *said, *source.notes]
     if unused:
         notes.append(f"meta.json states the noise of {', '.join(unused)}, which the log does not have.")
     left_out = {name: why for name, why in source.left_out.items() if split_unit(name)[1]}
@@ -295,7 +301,7 @@ def files_of(path: str | Path) -> list[Path]:
     Runs may lie in folders of their own; they are in natural order: `run_2` comes before `run_10`. Raises
     `InputError` where there is none.
     """
-    path = Path(path)
+    given, path = quoted(path), Path(path)
     suffixes = tuple(suffix for entry in FORMATS if entry.found for suffix in entry.suffixes)
     if path.suffix.lower() == ARCHIVE and path.is_file():
         regular(path, "Log")
@@ -310,7 +316,7 @@ def files_of(path: str | Path) -> list[Path]:
         found = [path]
     if not found:
         raise InputError(
-            f"{quoted(path)} must hold a log named log.parquet, log.csv, log.h5 or log.mat, or files that are"
+            f"{given} must hold a log named log.parquet, log.csv, log.h5 or log.mat, or files that are"
             " runs; it holds none."
         )
     return [regular(file, "Log") for file in sorted(found, key=natural)]
@@ -382,7 +388,8 @@ def open_source(
     folder = Path(paths[0]) if Path(paths[0]).is_dir() else None
     if len(files) == 1:
         source = _open(files[0], format, {"clock": clock, **stated})
-        return Opened(files[0], folder, source, quoted(files[0]))
+        packed = Path(paths[0]).suffix.lower() == ARCHIVE  # whose files have no lasting name
+        return Opened(files[0], folder, source, quoted(paths[0] if packed else files[0]))
     where = quoted(paths[0]) if len(paths) == 1 else " and ".join(quoted(one) for one in paths[:3])
     same = len({file.stem for file in files}) < len(files)
     groups = [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, few, nearest
-from hallsym.log.columns import RUN, Binding, Foreign, has_meaning
+from hallsym.log.columns import RUN, Binding, Foreign, has_meaning, is_run_word, numbers_runs
 from hallsym.log.text.cells import is_number
 from hallsym.units import Array, split_unit
 
@@ -22,6 +22,8 @@ CHUNK_ROWS = 65_536
 TIME = "\0time"
 """Name in a source of the time of its samples, in seconds, that its format gives; no column has this name."""
 Piece = dict[str, Array]
+SHOWN_ROWS = 50_000
+"""Samples that show what a column is."""
 RESTARTED = 0.01
 """Part of the time that has passed within which a clock that starts again is back at its first value; that of
 a sample that is late or doubled is not."""
@@ -106,6 +108,22 @@ class Source(ABC):
         """Return the cells of a column that holds no numbers; None where a format has no such column."""
         return None
 
+    def run_column(self, taken: Collection[str] = ()) -> tuple[str, bool]:
+        """Return the column that numbers or names runs, "" without one, and whether a word calls it so.
+
+        Of columns that are not `taken` and have no unit, it holds what stays and rises, or labels in a row.
+        """
+        free = [n for n in self.names if not (n in taken or n in self.units or split_unit(n)[1])]
+        if own := next((name for name in free if name.lower() == RUN), ""):
+            return own, True
+        data = self.numbers(free, SHOWN_ROWS)
+        texts = [n for n in free if n not in data] if self.small else []
+        data |= {n: in_order(self.labels(n)) for n in texts if self.texts(n) is not None}
+        counts = {n: len(np.unique(values)) for n, values in data.items() if numbers_runs(values)}
+        several = [n for n, count in counts.items() if count > 1]
+        best = max(several, key=lambda n: (is_run_word(n), counts[n]), default="")
+        return best, is_run_word(best)
+
     def call(self, columns: Mapping[str, tuple[str, str | None]]) -> None:
         """Take names of columns, each with the file's own text and the unit (`stems_of`)."""
         self.names = tuple(columns)
@@ -132,6 +150,13 @@ def label(value: object) -> str:
     if isinstance(value, float):
         return "" if value != value else str(int(value)) if value.is_integer() else repr(value)
     return "" if value is None else str(value).strip()
+
+
+def in_order(labels: Sequence[str]) -> Array:
+    """Return the numbers of names in the order in which they come first, (rows,); nan for what is no name."""
+    names = dict.fromkeys(text for text in labels if text and not is_number(text))
+    places = {text: k for k, text in enumerate(names)}
+    return np.array([places.get(text, np.nan) for text in labels])
 
 
 def joined(parts: Sequence[Mapping[str, Array]], names: Sequence[str]) -> Piece:
@@ -270,12 +295,10 @@ class Table:
             return self.source.read(sources) if sources else {}
         except InputError:
             name = self.bindings[RUN].source if RUN in self.bindings else ""
-            labels = self.source.labels(name) if name in sources else [""]
-            if any(is_number(text) or not text for text in set(labels)):
+            runs = in_order(self.source.labels(name) if name in sources else [""])
+            if np.isnan(runs).any():
                 raise
-            known: dict[str, int] = {}
-            runs = np.array([known.setdefault(text, len(known)) for text in labels])
-            return {**self._read([source for source in sources if source != name]), name: runs}
+            return {**self._read([s for s in sources if s != name]), name: runs}
 
     def _convert(self, columns: Sequence[str], raw: Mapping[str, Array], restarts: Restarts) -> Piece:
         rows = len(next(iter(raw.values()))) if raw else self.count()

@@ -71,6 +71,13 @@ def test_numbered_readings_of_any_name_are_the_channels_in_order(columns: dict[s
     assert [made[stem][0] for stem in ("hall_a", "hall_b", "hall_c", "x_ref", "y_ref", "t")] == [
         "S0", "S1", "S2", "Xlaser", "laserY", "ts",
     ]  # fmt: skip
+    names = {"x_ref_m": ("laser_0 [um]", 1e6), "y_ref_m": ("laser_1 [um]", 1e6), "z_m": ("height [um]", 1e6)}
+    names |= {"rx_rad": ("tilt_0 [urad]", 1e6), "ry_rad": ("tilt_1 [urad]", 1e6)}
+    names |= {f"hall_{c}_m": (f"hall_{k} [um]", 1e6) for k, c in enumerate("abc")}
+    made = found(guessed(columns, **names))
+    assert [made[c.rpartition("_")[0]][0] for c in names] == [
+        name.partition(" ")[0] for name, _ in names.values()
+    ]
 
 
 def test_numbered_sums_are_as_many_columns_of_an_array() -> None:
@@ -85,7 +92,7 @@ def test_numbered_sums_are_as_many_columns_of_an_array() -> None:
     ("name", "zero", "span", "unit", "entry"),
     [
         ("Angle [counts]", 0.0, 4096, "count", 'angle_count = { name = "Angle", counts_per_turn = 4096 }'),
-        ("Angle [V]", 0.5, 4.0, "rad", 'angle_rad = { name = "Angle", scale = 1.571'),
+        ("Angle [V]", 0.5, 4.0, "rad", '# angle_rad = { name = "Angle", scale = 1.0, offset = 0.0 }'),
     ],
 )
 def test_an_angle_in_counts_or_in_volts(name, zero, span, unit, entry) -> None:

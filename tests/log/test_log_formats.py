@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import tempfile
+import zipfile
 from pathlib import Path
 
 import h5py
@@ -301,9 +303,39 @@ def test_runs_with_names_are_numbered_in_their_order(tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text("run,x_ref_um\nup,1\nup,2\ndown,3\n")
     for log in (tmp_path / "log.csv", {"run": ["up", "up", "down"], "x_ref_um": [1, 2, 3]}):
         assert read_log(log).array("run").tolist() == [0, 0, 1]
+    trials = {"trialName": ["up"] * 30 + ["down"] * 30, "x_ref_um": np.arange(60), "Note": ["", "a"] * 30}
+    log = read_log(trials)
+    assert (log.runs, log.notes) == ((0, 1), ("Runs are those of column 'trialName'.",))
+    step = np.arange(60)
+    for name, values, wanted in (
+        ("TestID", step // 20, (0, 1, 2)),
+        ("test", step // 4, (0,)),
+        ("n", step // 20, (0,)),
+    ):
+        log = read_log({name: values, "x_ref_um": step})
+        assert log.runs == wanted, name
+        assert any("--column run=n" in note for note in log.notes) == (name == "n")
     (tmp_path / "bad.csv").write_text("run,x_ref_um\n1,1\n1x,2\n2,3\n")
     with pytest.raises(InputError, match="Line 3, column 'run'"):
         read_log(tmp_path / "bad.csv").runs  # noqa: B018
+
+
+@pytest.mark.parametrize("name", ["../../{}", "/{}", "a/b/c/{}"])
+def test_no_name_in_an_archive_leads_outside_its_folder(tmp_path: Path, name: str) -> None:
+    within = tmp_path / "deep" / "er"
+    within.mkdir(parents=True)
+    with zipfile.ZipFile(within / "runs.zip", "w") as archive:
+        for k in (1, 2):
+            archive.writestr(name.format(f"hallsym_run{k}.csv"), "x_ref_um\n1\n2\n")
+    assert read_log(within / "runs.zip").runs == (1, 2)
+    outside = (*tmp_path.rglob("*.csv"), *Path("/").glob("hallsym_run*"), *Path.cwd().glob("*hallsym_run*"))
+    assert not outside
+    with zipfile.ZipFile(within / "one.zip", "w") as archive:
+        archive.writestr(name.format("hallsym_run1.csv"), "x\n1\n2\n")
+    with pytest.raises(
+        InputError, match=rf"{re.escape(str(within))}/one.zip has no column .*one.zip --write"
+    ):
+        read_log(within / "one.zip")
 
 
 def test_files_on_one_clock_have_one_time(tmp_path: Path) -> None:
