@@ -484,12 +484,12 @@ class Tried:
     def rest(self, after: Tried | None) -> float:
         """Return the share of what is left, squares over the noise, that is left after a correction.
 
-        All of it where a correction keeps few samples.
+        All of it where a delay or a mean keeps few samples.
         """
         if after is None or not after.left:
             return np.inf
         few = sum(after.counts.values()) <= KEEPS * sum(self.counts.values())
-        if few:
+        if few and any(one.kind in STEPS for one in after.corrections):
             return np.inf
         return after.mean(after.left) / max(self.mean(self.left), 1e-300)
 
@@ -577,7 +577,7 @@ RIVAL = 20.0
 NEAR = 0.02
 """The same of each reading, over what is left: where effects are left too, chance is not all that decides."""
 KEEPS = 0.6
-"""Share of the samples that a correction must keep: late by half a wave of what moves is a sign as well."""
+"""Share of the samples that a delay or a mean must keep: half a wave of what moves is a sign as well."""
 CHANCE = 2.0
 """Standard deviations of the mean square of noise: corrections that keep other samples differ by chance."""
 DIFFERENT = 3
