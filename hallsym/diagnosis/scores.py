@@ -237,15 +237,15 @@ class Regressions:
     def __init__(
         self, t: NormalEquations, tried: dict[str, Candidate], training: np.ndarray, judged: Products
     ) -> None:
-        self.t, self.tried, self.training, n = t, tried, training * 1.0, t.span[""].stop
-        self.judged = judged
-        self.inverse = pseudo_inverse(np.tensordot(self.training, t.likelihood[:, :n, :n], 1))
+        stacks = Products(*(np.tensordot(training * 1.0, each, 1) for each in t.whitened))
+        self.t, self.tried, self.judged, n = replace(t, whitened=stacks), tried, judged, t.span[""].stop
+        self.inverse = pseudo_inverse(self.t.likelihood[:, :n, :n])
         self.plain = self.solved(None).by
 
     def solved(self, key: str | None) -> "Solved":
         """Fit a candidate (None: nothing) and the model's own parameters to each stack of units."""
         n = len(self.inverse[0])
-        M = np.tensordot(self.training, self.t.of(key), 1)
+        M = self.t.of(key)
         through = self.inverse @ M[:, :n, n:]
         left = M[:, n:, n:] - M[:, n:, :n] @ through
         raw, squares = (np.diagonal(x, axis1=1, axis2=2)[:, :-1] for x in (M[:, n:, n:], left))
