@@ -98,7 +98,10 @@ def shared_noise(
         weights = down.weights(base.keep)
         part = None if weights is None else weights[::every]
         thinned = [_thinned(b, every) for b in (up, down)]
-        products = np.zeros((work.n + work.count, len(thinned[0])))
+        cut, keys = stretches(up, seen, length)
+        edges = -(-np.array(cut.edges) // every)
+        low, high = (np.minimum(at, len(thinned[0]) - k) for at, k in ((edges[:-1], 1), (edges[1:], 0)))
+        scales = np.diff(cut.edges) / np.maximum(high - low, 1)
         most = -(-work.most // 2)  # both logs are side by side in one batch
         for (moved, at), (still, _) in zip(*(b.pieces(most) for b in thinned), strict=True):
             n, data = len(moved), {c: np.append(v, still.data[c]) for c, v in moved.data.items()}
@@ -106,15 +109,13 @@ def shared_noise(
             columns = work.columns(both, None if part is None else np.tile(part[at], 2))
             near, rows = (values[..., :n] - values[..., n:] for values in columns)
             change = work.precision @ near[-1]
-            products[: work.n, at] = np.einsum("cks,ks->cs", near[work.z : own], change)
+            products = np.zeros((work.n + work.count, n))
+            products[: work.n] = np.einsum("cks,ks->cs", near[work.z : own], change)
             for k, of in enumerate(work.of_channel):  # a column has one row a channel
-                products[work.n + column[of], at] += rows[of] * change[k]
-        cut, keys = stretches(up, seen, length)
-        edges = -(-np.array(cut.edges) // every)
-        low, high = (np.minimum(at, products.shape[1] - k) for at, k in ((edges[:-1], 1), (edges[1:], 0)))
-        parts = np.add.reduceat(products, low, axis=1) * (np.diff(cut.edges) / np.maximum(high - low, 1))
-        for key, own_part in zip(keys, parts.T, strict=True):
-            out[t.unit_of[key]] += own_part
+                products[work.n + column[of]] += rows[of] * change[k]
+            here = np.maximum([low - at.start, np.maximum(high, low + 1) - at.start], 0)
+            for key, begin, end, scale in zip(keys, *here, scales, strict=True):
+                out[t.unit_of[key]] += scale * products[:, begin:end].sum(axis=1)
     return out
 
 
