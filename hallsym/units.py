@@ -33,7 +33,7 @@ class Unit:
 _DEGREE = math.pi / 180
 _TABLE: tuple[tuple[str, str, float], ...] = (
     ("m", "m", 1.0), ("mm", "m", 1e-3), ("um", "m", 1e-6), ("nm", "m", 1e-9), ("cm", "m", 1e-2),
-    ("pm", "m", 1e-12), ("inch", "m", 0.0254), ("mil", "m", 25.4e-6),
+    ("pm", "m", 1e-12), ("inch", "m", 0.0254),
     ("rad", "rad", 1.0), ("mrad", "rad", 1e-3), ("urad", "rad", 1e-6), ("nrad", "rad", 1e-9),
     ("deg", "rad", _DEGREE), ("mdeg", "rad", _DEGREE / 1e3), ("arcmin", "rad", _DEGREE / 60),
     ("arcsec", "rad", _DEGREE / 3600),

@@ -439,12 +439,12 @@ def limit_of(column: str) -> Limit | None:
 _WORDS = {
     "°": "deg", "º": "deg", "degree": "deg", "degrees": "deg", "grad": "", "°c": "degc", "celsius": "degc",
     "deg c": "degc", "sec": "s", "msec": "ms", "usec": "us", "micron": "um", "microns": "um", "amp": "a",
-    "vdc": "v", "v dc": "v", "volt dc": "v", "gs": "gauss", "in": "inch", "inches": "inch", "mils": "mil",
+    "vdc": "v", "v dc": "v", "volt dc": "v", "gs": "gauss", "in": "inch", "inches": "inch",
     "kelvin": "k", "rad/s": "rad_s", "°/s": "deg_s", "deg/s": "deg_s", "1/min": "rpm", "u/min": "rpm",
     "min-1": "rpm", "r/min": "rpm", "m/s": "m_s", "mm/s": "mm_s", "counts": "count", "cts": "count",
     "inc": "count", "lsb": "count", "digit": "count", "digits": "count", '"': "arcsec", "″": "arcsec",
     "''": "arcsec", "arcseconds": "arcsec", "′": "arcmin", "arcminutes": "arcmin", "turn": "rev",
-    "turns": "rev", "umdr": "rev", "gon": "grad", "thou": "mil",
+    "turns": "rev", "umdr": "rev", "gon": "grad",
     **{f"{prefix}{word}{end}": unit
        for word, si in {"meter": "m", "metre": "m", "radian": "rad", "second": "s", "volt": "v",
                         "ampere": "a", "tesla": "t"}.items()

@@ -279,7 +279,7 @@ def test_rows_of_sensors_need_the_period_alone_and_agree_with_the_decoder_of_the
     assert (both[0] == both[1]).all()
     weight = [1 / fit.noise.sigmas[c].value ** 2 for c in fit.model.channels]
     readings = list(inputs_of("rows", at)[:-2])
-    found = on_arrays(fit.model.decoded_near)(fit.values, [], readings, [], weight, list(at))[0]
+    found = fit.model.decode(fit.values, [], readings, [], weight, list(at))
     assert np.abs(found - at).max() < 1e-7
     assert (np.abs(both[0] - found).max(axis=1) <= list(code.backend.error_bound.values())).all()
 

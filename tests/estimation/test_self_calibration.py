@@ -17,7 +17,6 @@ from hallsym.estimation import self_calibration as sc
 from hallsym.estimation.without_reference import fit_without_reference
 from hallsym.experiment.turns import TurnPlan, table_error, turns_for, two_speeds
 from hallsym.log import Log, Meta
-from hallsym.model.arrays import on_arrays
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
@@ -204,8 +203,7 @@ def test_a_calibration_decodes_the_ring_that_it_has_not_seen_with_a_reference() 
     # the zero is the cosine of Hall 1 in the period where the recording began
     begin = -own.places[0] - float(np.angle(own.field[3])) / 4
     near = theta - begin
-    decode = on_arrays(model.decoded_near)
-    pose = decode(result.fit.values, np.zeros(0), list(x.T), [], np.ones(3), near[None])[0][0]
+    (pose,) = model.decode(result.fit.values, np.zeros(0), list(x.T), [], np.ones(3), near[None])
     assert 4 * np.std(pose - theta) < np.radians(0.3)
     plain = result.found.plane.phase(x) / 4
     assert 4 * np.std(np.unwrap(4 * plain) / 4 - theta) > np.radians(0.6)

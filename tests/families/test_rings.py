@@ -62,9 +62,8 @@ def test_a_table_over_the_turn_is_read_at_the_bent_angle_and_fitted_with_a_refer
     u = u + 0.02 * np.cos(u) - 0.01 * np.sin(3 * u)
     expected = [k * 0.3 + np.cos(2 * (u + k2)) for k, k2 in ((0, 0.0), (1, TURN / 6), (0, TURN / 3))]
     assert np.abs(x - expected).max() < 1e-12
-    near = model.decoded_near.map(50)
-    pose = near(model.vector(values), np.zeros((0, 50)), x, np.zeros((0, 50)), np.ones(3), angle[None] + 0.05)
-    assert np.abs(np.asarray(pose) - angle).max() < 1e-9
+    pose = model.decode(model.vector(values), [], list(x), [], np.ones(3), angle[None] + 0.05)
+    assert np.abs(pose - angle).max() < 1e-9
 
 
 @pytest.mark.parametrize(

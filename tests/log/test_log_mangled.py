@@ -204,7 +204,7 @@ COUNTED = [f"{k};{k},5" for k in range(30)]
         (["t_s,x_ref_um"], [f'{k},"{k},5"' for k in range(30)]),
         (['"t_s" ; "x_ref_um"'], [f'"{k}" ; "{k},5"' for k in range(30)]),
         (["t_s;x_ref_mm"], [f"{k};0,{k:03d}5" for k in range(30)]),
-        (["# fs: 1 Hz", "# Columns: z x_ref", "# Units: mil um"], [f"{k} {k}.5" for k in range(30)]),
+        (["# fs: 1 Hz", "# Columns: z x_ref", "# Units: inch um"], [f"{k} {k}.5" for k in range(30)]),
     ],
 )
 def test_what_programs_write(tmp_path: Path, head: list[str], body: list[str]) -> None:
