@@ -254,6 +254,9 @@ def by_signal(source: Source, where: str) -> Source:
         return source
     beside = {n: n if _is_clock(source, n) else T for n in stamps[:1]} | dict.fromkeys(runs, RUN)
     data, mine = source.read([*beside, value]), {label: labels == label for label in signals}
+    times = [data[stamps[0]][own] for own in mine.values()] if stamps else []
+    if times and max(map(np.min, times)) > min(map(np.max, times)):
+        return source  # devices one after the other
     cells = source.texts(of_units) if of_units and of_units not in varying else None
     units = {s: u for s, cell in zip(labels, cells or (), strict=False) if (u := unit_of(str(cell)))}
     called = [label if keys[0] in texts else f"{keys[0]} {label}" for label in signals]
