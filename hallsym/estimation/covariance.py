@@ -155,7 +155,7 @@ class Octaves:
     def said(self) -> str:
         """How far the residual is from white noise."""
         power, _ = self.spectrum
-        return f"the variance of the noise differs {power.max() / power.min():.1f} x between octaves"
+        return f"the variance of the noise differs {power.max() / power.min():.1f} x over frequency"
 
     @cached_property
     def spectrum(self) -> tuple[np.ndarray, np.ndarray]:
