@@ -29,7 +29,8 @@ from hallsym.output import fitted, printable
 from hallsym.records import named
 from hallsym.report.content import Content, printed
 from hallsym.report.views import content, pictures
-from hallsym.simulation import Campaign, campaign_from, paper_campaign, read_campaign, table8_noise
+from hallsym.simulation import Campaign, default_campaign, read_campaign, table8_noise
+from hallsym.simulation.paper import DESIGNED
 from hallsym.toml import column_of
 
 
@@ -260,16 +261,15 @@ def campaign_of(options: Namespace) -> Campaign:
     """Return the campaign of a file, else the paper's, else the example of the model's family."""
     step = getattr(options, "step", None)
     require(step is None or 0 < step < math.inf, "--step", "a positive number of seconds", step)
-    own = build(options.model).family.example if options.model and options.campaign is None else None
-    if own is None and options.campaign is None:
-        return paper_campaign(step or 2e-3)
+    if options.campaign is None:
+        model = build(options.model or DESIGNED)
+        if step is None or model.family.example is None:
+            return default_campaign(model, step or 2e-3)
     if step:
         raise InputError(
             "--step belongs to the paper's campaign of the stage; a campaign file states its own."
         )
-    return (
-        campaign_from(own.campaign, f"example of {options.model}") if own else read_campaign(options.campaign)
-    )
+    return read_campaign(options.campaign)
 
 
 def built(name: str, machine: Machine, effects: Sequence[str] = ()) -> Model:

@@ -34,10 +34,12 @@ a tolerance file:
   eta_A_percent = 2                                  of the nominal value
 """
 OPTIONS = f"""
-campaign TOML <optional>        campaign over which errors count (default: the paper's campaign)
+campaign TOML <optional>        campaign over which errors count (default: the paper's campaign, or the
+    example of the model's family)
 --ranges TOML                   tolerances; if not given, the usual ones of such machines with their
     effects, else the model's bounds about the nominal values
---samples N <int=1024>          base samples, a power of two (default 1024)
+--samples N <int>               base samples, a power of two; if not given, as many as make every
+    interval narrower than +-5 points, 1024 at most
 --seed SEED <seed=0>            of the machines drawn (default 0)
 @plots save a picture of the errors along a coordinate
 [known deviations]
@@ -71,7 +73,7 @@ def run(options: Namespace) -> int:
 
 def _along(options: Namespace, model: Model) -> int:
     given = {"TOML": options.campaign, "--ranges": options.ranges, "--seed": options.seed}
-    given["--samples"] = options.samples != 1024
+    given["--samples"] = options.samples
     for name in filter(given.get, given):
         raise InputError(f"{name} belongs to machines that are drawn; leave it out beside --along.")
     values = {}

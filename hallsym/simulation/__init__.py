@@ -11,7 +11,13 @@ from hallsym.simulation.campaign import (
     write_campaign,
 )
 from hallsym.simulation.machine import NoiseModel, simulate, simulate_blocks
-from hallsym.simulation.paper import bundled_campaign, is_the_papers, paper_campaign, table8_noise
+from hallsym.simulation.paper import (
+    bundled_campaign,
+    default_campaign,
+    is_the_papers,
+    paper_campaign,
+    table8_noise,
+)
 from hallsym.simulation.signals import Signal, multi_sine, sine, steps, triangle
 
 __all__ = [
@@ -22,6 +28,7 @@ __all__ = [
     "Signal",
     "bundled_campaign",
     "campaign_from",
+    "default_campaign",
     "follow",
     "is_the_papers",
     "multi_sine",

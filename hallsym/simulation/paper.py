@@ -7,7 +7,7 @@ import numpy as np
 from hallsym.families import build, published
 from hallsym.log import Log, read_log
 from hallsym.model import Model
-from hallsym.simulation.campaign import Campaign, Run
+from hallsym.simulation.campaign import Campaign, Run, campaign_from
 from hallsym.simulation.machine import NoiseModel
 from hallsym.simulation.signals import sine
 
@@ -53,6 +53,12 @@ def paper_campaign(step_s: float = 2e-3, duration_s: float = 1.0) -> Campaign:
         )
     )
     return Campaign(step_s, runs)
+
+
+def default_campaign(model: Model, step_s: float = 2e-3) -> Campaign:
+    """Return the example of a model's family, else the paper's campaign on a clock of `step_s`."""
+    example = model.family.example
+    return campaign_from(example.campaign, f"example of {model.name}") if example else paper_campaign(step_s)
 
 
 def table8_noise(model: Model, values: Mapping[str, float] | None = None) -> NoiseModel:

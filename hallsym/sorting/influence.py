@@ -18,7 +18,7 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.log import near
 from hallsym.model import Model, on_arrays
-from hallsym.simulation import Campaign, campaign_from, paper_campaign
+from hallsym.simulation import Campaign, default_campaign
 from hallsym.uncertainty.tolerances import Workspace, workspace_of
 from hallsym.units import Array
 
@@ -124,10 +124,7 @@ def _workspace(model: Model, where: Campaign | Workspace | None) -> Workspace:
     if model.typical:
         poses = np.array(model.typical, float).T
         return Workspace(poses, np.zeros((len(model.state), poses.shape[1])))
-    example = model.family.example
-    return workspace_of(
-        model, campaign_from(example.campaign, "the example") if example else paper_campaign()
-    )
+    return workspace_of(model, default_campaign(model))
 
 
 def without_common(square: Array) -> tuple[Array, Array]:

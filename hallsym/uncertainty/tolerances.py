@@ -8,7 +8,7 @@ J. Stat. 8 (2014) 575, doi:10.1214/14-EJS895), so that large errors have their w
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -18,16 +18,19 @@ from hallsym.errors import InputError, require
 from hallsym.model import Model
 from hallsym.records import named
 from hallsym.shown import Shown
-from hallsym.simulation import Campaign, Run, paper_campaign
+from hallsym.simulation import Campaign, Run, default_campaign
 from hallsym.uncertainty.along import Errors, decoding_errors
 from hallsym.uncertainty.ranges import USUAL, Tolerance, default_tolerances, given_tolerances
 
 BLOCK = 2**16
 """Machines times points that are evaluated at once; bounds the memory."""
 LEAST_SAMPLES, MOST_SAMPLES = 16, 2**16
-"""Base samples."""
+USUAL_SAMPLES = 1024
+"""Base samples: fewest, most, and most unless more are asked for."""
 ENOUGH = 0.05
-"""Half width of a 95 % interval below which an index is called sharp."""
+"""Half width of a 95 % interval below which it is called sharp."""
+MANY = 2**14
+"""Machines, at least, of which the quantiles of the linear part are known: to 1 %."""
 COVERAGE, RESAMPLES = 1.96, 200
 """Standard deviations of a 95 % interval, and bootstrap resamples that it is from."""
 
@@ -135,8 +138,19 @@ class Tolerances(Shown):
 
     @property
     def widest(self) -> float:
-        """Largest half width of a 95 % interval of an index of the error."""
-        return max(indices.widest for indices in self.indices.values())
+        """Largest half width of a 95 % interval of an index of the error or of a worth."""
+        indices = (indices.widest for indices in self.indices.values())
+        return max(*indices, float(self.worth.exact_half.max()))
+
+    @property
+    def wanted(self) -> int:
+        """Base samples, about, of which all intervals are sharp: half the width takes four times as many."""
+        return self.samples * 2 ** max(0, int(np.ceil(2 * np.log2(self.widest / ENOUGH))))
+
+    @property
+    def sharp(self) -> bool:
+        """Whether all intervals are narrow enough to rank by."""
+        return self.widest <= ENOUGH
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, SI."""
@@ -167,7 +181,7 @@ class Tolerances(Shown):
                 }
                 for c, i in self.indices.items()
             },
-            "sharp": self.widest <= ENOUGH,
+            "sharp": self.sharp,
             "notes": list(self.notes),
         }  # fmt: skip
 
@@ -180,47 +194,53 @@ def tolerances(
     where: Campaign | Workspace | None = None,
     *,
     ranges: Mapping[str, Any] | tuple[Tolerance, ...] | None = None,
-    samples: int = 1024,
+    samples: int | None = None,
     seed: int = 0,
 ) -> Tolerances:
     """Return the sensitivity of the nominal decoder's errors to each tolerance of the machine.
 
     Machines are drawn with every parameter independent in its tolerance; each is read by a decoder that uses
     the nominal values, without calibration, noise or zero deviations. `where`: campaign or
-    workspace over which errors count (default: the paper's campaign). `ranges`: see `given_tolerances`;
+    workspace over which errors count (default: the example of the
+    model's family, the paper's campaign of a stage). `ranges`: see `given_tolerances`;
     default: nominal value +- half the width of the model's bounds. `samples`: base samples of Saltelli's
-    design, a power of two; 2 n + 2 times as many machines are drawn for n tolerances. The same seed gives the
-    same numbers.
+    design, a power of two; 2 n + 2 times as many machines are drawn for n tolerances. None: as many as make
+    every interval sharp, at most `USUAL_SAMPLES`. The same seed gives the same numbers.
 
     Raises `InputError` for an unknown parameter or unit and a tolerance that is not positive.
     """
+    if samples is None:
+        study = partial(tolerances, model, where, ranges=ranges, seed=seed)
+        pilot = study(samples=LEAST_SAMPLES)
+        return pilot if pilot.sharp else study(samples=min(pilot.wanted, USUAL_SAMPLES))
     good = LEAST_SAMPLES <= samples <= MOST_SAMPLES and not samples & (samples - 1)
     near = 2 ** round(np.log2(min(max(samples, LEAST_SAMPLES), MOST_SAMPLES)))
     wanted = f"a power of two from {LEAST_SAMPLES} to {MOST_SAMPLES}, such as {near}"
     require(good, "'samples'", wanted, samples)
     require(seed >= 0, "A seed", "a whole number, 0 or more", seed)
-    where = paper_campaign() if where is None else where
+    where = default_campaign(model) if where is None else where
     space = workspace_of(model, where) if isinstance(where, Campaign) else where
     all_ = _ranges(model, ranges)
-    active = tuple(t for t in all_ if t.width > 0)
+    active = [k for k, t in enumerate(all_) if t.width > 0]
     if not active:
         raise InputError(f"Every parameter of {model.name} is exact: there is no tolerance to judge.")
-    draws = design(len(active), samples, seed)
-    machines = partial(_machines, all_, active)
-    errors_of = decoding_errors(
-        model, model, space.pose, space.state, "state narrower tolerances in --ranges"
-    )
-    fields, errors, squares = _drawn(errors_of, draws, machines)
+    drawn = tuple(all_[k] for k in active)
+    centre, scale = (np.array([getattr(t, name) for t in all_]) for name in ("centre", "std"))
+    decoded = decoding_errors(model, model, space.pose, space.state, "state narrower tolerances in --ranges")
+
+    def errors(z: np.ndarray) -> np.ndarray:
+        machines = np.tile(centre, (len(z), 1))
+        machines[:, active] += scale[active] * z
+        return decoded(machines)
+
     return Tolerances(
         model=model,
         tolerances=all_,
-        active=tuple(t.name for t in active),
+        active=tuple(t.name for t in drawn),
         points=space.points,
         samples=samples,
         seed=seed,
-        errors=errors,
-        indices={c: field_indices(m, seed) for c, m in zip(model.pose, fields, strict=True)},
-        worth=_worth(errors_of, squares, draws[:, 0], all_, active, space.points),
+        **_drawn(errors, drawn, model.pose, samples, seed),
         notes=tuple(_notes(model, all_)),
     )
 
@@ -233,15 +253,6 @@ def _ranges(model: Model, ranges: Mapping[str, Any] | tuple[Tolerance, ...] | No
     if tuple(t.name for t in ranges) != model.names:
         raise InputError(f"'ranges' must hold one Tolerance per parameter of {model.name}, in its order.")
     return ranges
-
-
-def _machines(all_: tuple[Tolerance, ...], active: tuple[Tolerance, ...], u: np.ndarray) -> np.ndarray:
-    """Parameters (m, n) of machines at probabilities u (m, n_active); exact ones at their centre."""
-    out = np.tile(np.array([t.centre for t in all_]), (len(u), 1))
-    place = {t.name: k for k, t in enumerate(all_)}
-    for j, t in enumerate(active):
-        out[:, place[t.name]] = t.at(u[:, j])
-    return out
 
 
 def design(n: int, samples: int, seed: int) -> np.ndarray:
@@ -260,6 +271,56 @@ def design(n: int, samples: int, seed: int) -> np.ndarray:
 
 
 # -- machines drawn, block by block ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """The part of the errors that is linear in the tolerances: a control variate, whose means are known.
+
+    A mean over machines is that of the error less that of this part, plus the known mean of this part: drawn
+    machines only have to show what is not linear. Owen, Monte Carlo theory, methods and examples, 8.9
+    (artowen.su.domains/mc). `start`: errors (n_pose, points) at the centres of all ranges. `slope`: change by
+    one standard deviation of each tolerance, (n_pose, n, points).
+    """
+
+    start: np.ndarray
+    slope: np.ndarray
+
+    @classmethod
+    def of(cls, errors: Errors, n: int) -> "Linear":
+        """Return that of `errors(z)` of machines at z (m, n) standard deviations from the centres.
+
+        Slopes are by Gauss's quadrature of two points along each tolerance.
+        """
+        e = errors(np.vstack([np.zeros((1, n)), np.eye(n), -np.eye(n)]))
+        return cls(e[:, 0], (e[:, 1 : n + 1] - e[:, n + 1 :]) / 2)
+
+    def fitted(self, z: np.ndarray, errors: np.ndarray) -> "Linear":
+        """Return the mean of `errors` (n_pose, m, points) of machines, and the slopes times a factor.
+
+        The factor, one of each coordinate, leaves least scatter: 1 where errors are linear, near 0 where they
+        go round a circle.
+        """
+        change = z @ self.slope
+        norm = np.einsum("cmt,cmt->c", change, change)
+        factor = np.einsum("cmt,cmt->c", change, errors - self.start[:, None]) / np.where(norm > 0, norm, 1)
+        change, slope = (factor[:, None, None] * v for v in (change, self.slope))
+        return Linear((errors - change).mean(axis=1), slope)
+
+    def errors(self, z: np.ndarray) -> np.ndarray:
+        """Return this part of the errors of machines, (n_pose, m, points)."""
+        return np.asarray(self.start[:, None] + z @ self.slope)
+
+    def squares(self, exact: np.ndarray) -> np.ndarray:
+        """Return the expectation of `squares` of this part, (n_pose, 3 n + 3).
+
+        `exact` (n,): where each tolerance is exact, in standard deviations from its centre.
+        """
+        shares = (self.slope**2).mean(axis=2)
+        variance = shares.sum(axis=1, keepdims=True)
+        level = (self.start**2).mean(axis=1, keepdims=True) + variance
+        moved = ((self.start[:, None] + exact[:, None] * self.slope) ** 2).mean(axis=2)
+        return np.hstack([shares, shares, variance, level, level, moved + variance - shares])
 
 
 Moments = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -291,64 +352,75 @@ def field_indices(m: Moments, seed: int) -> Indices:
     return Indices(first.mean(axis=0) / variance, total.mean(axis=0) / variance, *halves)
 
 
-def _blocks(samples: int, rows: int) -> Iterator[slice]:
-    """Samples of so many rows each, machines times points, in blocks of bounded size."""
-    step = max(1, BLOCK // rows)
-    return (slice(k, min(k + step, samples)) for k in range(0, samples, step))
+def squares(field: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Return what is quadratic in the errors of machines A, A with a column of B, B, A with one exact.
 
-
-def _drawn(errors: Errors, draws: np.ndarray, machines: Any) -> tuple[list[Moments], Errors95, np.ndarray]:
-    """Return moments of each coordinate's field over the whole design, and errors of machines A and B.
-
-    The mean field comes first, so that moments are centred. Last, the mean square over the workspace of each
-    machine A, (n_pose, samples).
+    `field` (n_pose, samples, 2 n + 2, points) -> (n_pose, samples, 3 n + 3): `moments` about `mean`
+    (n_pose, points), then the mean squares over the workspace of A, B and each A with one exact.
     """
-    samples, rows, n = draws.shape
-    points = errors(machines(draws[0, :1])).shape[2]
-    totals = [
-        errors(machines(draws[at][:, [0, -1]].reshape(-1, n))).sum(axis=1)
-        for at in _blocks(samples, 2 * points)
-    ]
-    mean = sum(totals) / (2 * samples)
-    squares, peaks = [], []
-    parts: list[list[Moments]] = [[] for _ in mean]
-    for at in _blocks(samples, rows * points):
-        field = errors(machines(draws[at].reshape(-1, n))).reshape(len(mean), -1, rows, points)
-        plain = field[:, :, [0, -1]]
-        squares.append(np.einsum("csjt,csjt->csj", plain, plain) / points)
-        peaks.append(np.abs(plain).max(axis=-1))
-        for part, y, centre in zip(parts, field, mean, strict=True):
-            part.append(moments(y, centre))
-    fields = []
-    for part in parts:
-        first, total, variance = (np.concatenate(column) for column in zip(*part, strict=True))
-        fields.append((first, total, variance))
-    square, peak = np.hstack(squares), np.hstack(peaks)
-    found = Errors95(
-        rms=np.sqrt(square.mean(axis=(1, 2))),
-        mean=np.sqrt((mean**2).mean(axis=1)),
-        rms_95=np.sqrt(np.quantile(square, 0.95, axis=(1, 2))),
-        peak_95=np.quantile(peak, 0.95, axis=(1, 2)),
+    n, out = field.shape[2] // 2 - 1, []
+    for y, centre in zip(field, mean, strict=True):
+        first, total, variance = moments(y[:, : n + 2], centre)
+        square = (np.delete(y, np.s_[1 : n + 1], axis=1) ** 2).mean(axis=2)
+        out.append(np.hstack([first, total, variance[:, None], square]))
+    return np.array(out)
+
+
+def _sizes(e: np.ndarray) -> np.ndarray:
+    """Return rms and peak of each machine, (2, n_pose, m), of errors (n_pose, m, points)."""
+    return np.array([np.sqrt((e**2).mean(axis=2)), np.abs(e).max(axis=2)])
+
+
+def _drawn(
+    errors: Errors, drawn: tuple[Tolerance, ...], pose: Sequence[str], samples: int, seed: int
+) -> dict[str, Any]:
+    """Return `errors`, `indices` and `worth` of `Tolerances` from `errors` of machines, as in `Linear`."""
+    n = len(drawn)
+    exact = np.array([(t.nominal - t.centre) / t.std for t in drawn])
+
+    def deviations(u: np.ndarray) -> np.ndarray:
+        return np.stack([(t.at(u[..., j]) - t.centre) / t.std for j, t in enumerate(drawn)], axis=-1)
+
+    draws, one = design(n, samples, seed), np.eye(n, dtype=bool)
+    some = deviations(draws[:LEAST_SAMPLES, [0, -1]].reshape(-1, n))
+    linear = Linear.of(errors, n).fitted(some, errors(some))
+    mean, known, rest = linear.start, linear.squares(exact)[:, None], np.zeros_like(linear.start)
+    points, found, sizes = mean.shape[1], [], []
+    for z in map(deviations, _blocks(draws, 2 * points)):
+        z = np.hstack([z, np.where(one, exact, z[:, :1])])
+        shape = (len(mean), *z.shape[:2], -1)
+        y, part = (f(z.reshape(-1, n)).reshape(shape) for f in (errors, linear.errors))
+        found.append(squares(y, mean) - squares(part, mean) + known)
+        plain, of_part = (e[:, :, [0, n + 1]].reshape(len(mean), -1, points) for e in (y, part))
+        rest += (plain - of_part).sum(axis=1) / (2 * samples)
+        sizes.append([_sizes(plain), _sizes(of_part)])
+    first, total, variance, square = np.split(np.hstack(found), [n, 2 * n, 2 * n + 1], axis=2)
+    variance = variance[..., 0] - np.mean(rest**2, axis=1)[:, None]
+    many = np.random.default_rng(seed).random((max(MANY, 4 * samples), n))
+    of_many = [_sizes(linear.errors(z)) for z in map(deviations, _blocks(many, points))]
+    ours, of_ours, of_all = (
+        np.quantile(v, 0.95, axis=-1)
+        for v in (*np.concatenate(sizes, axis=-1), np.concatenate(of_many, axis=-1))
     )
-    return fields, found, square[..., 0]
+    worth = [_falls(square[:, :, 0], square[:, :, 2 + j]) for j in range(n)]
+    return {
+        "errors": Errors95(
+            np.sqrt(np.maximum(square[:, :, :2].mean(axis=(1, 2)), 0.0)),
+            np.sqrt(((mean + rest) ** 2).mean(axis=1)),
+            *(ours - of_ours + of_all),
+        ),
+        "indices": {
+            c: field_indices(m, seed)
+            for c, m in zip(pose, zip(first, total, variance, strict=True), strict=True)
+        },
+        "worth": Worth(*np.array(worth).transpose(1, 0, 2)),
+    }
 
 
-def _worth(
-    errors: Errors, before: np.ndarray, u: np.ndarray, all_: tuple[Tolerance, ...],
-    active: tuple[Tolerance, ...], points: int,
-) -> Worth:  # fmt: skip
-    """Draw the machines A again, one tolerance exact at a time, everything else the same.
-
-    `before`: their mean squares as they were, (n_pose, samples).
-    """
-    rows = []
-    for t in active:
-        exact = replace(t, centre=t.nominal, width=0.0)
-        ranges, moved = (tuple(exact if k.name == t.name else k for k in some) for some in (all_, active))
-        drawn = _machines(ranges, moved, u)
-        after = [np.square(errors(drawn[at])).mean(axis=2) for at in _blocks(len(u), points)]
-        rows.append(_falls(before, np.hstack(after)))
-    return Worth(*np.array(rows).transpose(1, 0, 2))
+def _blocks(draws: np.ndarray, points: int) -> Iterator[np.ndarray]:
+    """Parts of bounded size of draws (samples, ..., n) of machines, each at so many points."""
+    step = max(1, BLOCK * draws.shape[-1] // (draws[0].size * points))
+    return (draws[k : k + step] for k in range(0, len(draws), step))
 
 
 def _falls(before: np.ndarray, exact: np.ndarray) -> np.ndarray:
@@ -358,7 +430,7 @@ def _falls(before: np.ndarray, exact: np.ndarray) -> np.ndarray:
     ratio = np.where(level > 0, exact.mean(axis=1) / safe, 1.0)
     scatter = (exact - ratio[:, None] * before).std(axis=1, ddof=1) / np.sqrt(before.shape[1]) / safe
     width = np.where(ratio > 0, COVERAGE * scatter / (2 * np.sqrt(np.where(ratio > 0, ratio, 1.0))), 0.0)
-    return np.array([1 - np.sqrt(ratio), width])
+    return np.array([1 - np.sqrt(np.maximum(ratio, 0.0)), width])
 
 
 def _notes(model: Model, all_: tuple[Tolerance, ...]) -> Iterator[str]:

@@ -102,7 +102,11 @@ def test_the_command_prints_the_ranking_first(capsys, tmp_path):
     assert out.index("errors of the nominal decoder") < out.index("fall of the") < out.index("Sobol indices")
     rows = [line.split()[0] for line in out.splitlines() if line.startswith(("eta_A ", "H1x "))]
     assert rows == ["eta_A", "H1x", "eta_A", "H1x"]
-    wanted = re.search(r"too wide to rank by: about --samples (\d+) brings them below 5", out)
+    assert "sharp enough to rank" in out
+    assert main(["tolerances", "--model", "rotary", "--samples", "32"]) == 0
+    wanted = re.search(
+        r"too wide to rank by: about --samples (\d+) brings them below 5", capsys.readouterr().out
+    )
     assert wanted
     assert int(wanted[1]) > 32
     assert main([*words, "--json"]) == 0

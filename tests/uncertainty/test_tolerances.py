@@ -75,6 +75,46 @@ def test_tightening_a_linear_error_takes_its_share(model, somewhere, small):
     assert np.all(np.abs(small.worth.exact - expected) <= small.worth.exact_half + 1e-3)
 
 
+def test_what_is_linear_needs_no_draws(model, somewhere):
+    """Gains enter a reading linearly and are decoded so: the fewest machines know all but the quantiles."""
+    ranges = given_tolerances(
+        model, {f"eta_{k}_percent": w for k, w in zip("ABC", (1, 2, 3), strict=True)}, "exact"
+    )
+    few, more = (tolerances(model, somewhere, ranges=ranges, samples=n, seed=2) for n in (16, 256))
+    assert max(few.widest, more.widest) < 1e-9
+    assert few.worth.exact == pytest.approx(more.worth.exact, abs=1e-9)
+    assert few.errors.rms == pytest.approx(more.errors.rms, rel=1e-9)
+    assert few.errors.rms_95 == pytest.approx(more.errors.rms_95, rel=0.01)
+
+
+def test_as_many_machines_as_make_intervals_sharp(model, somewhere):
+    """A zero anywhere on the circle leaves nothing linear: no worse than without a control variate."""
+    assert tolerances(model, somewhere).samples == study.LEAST_SAMPLES
+    around = tolerances(build("rotary"))
+    assert study.LEAST_SAMPLES < around.samples <= study.USUAL_SAMPLES
+    assert around.sharp
+    assert around.points == 32  # of four ramps, the example of its family
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["stage31", "halbach", "rings3"])
+def test_intervals_hold_what_many_machines_say(name):
+    """Seventy or more intervals at 95 % from few machines, beside those of sixteen times as many."""
+    model = build(name)
+    few = tolerances(model, seed=11)
+    many = tolerances(model, samples=16 * few.samples, seed=12)
+    off = []
+    for c in model.pose:
+        one, other = few.indices[c], many.indices[c]
+        for kind in ("first", "total"):
+            half = np.hypot(getattr(one, f"{kind}_half"), getattr(other, f"{kind}_half"))
+            off += list(np.abs(getattr(one, kind) - getattr(other, kind)) > half + 1e-12)
+    half = np.hypot(few.worth.exact_half, many.worth.exact_half)
+    off += list((np.abs(few.worth.exact - many.worth.exact) > half + 1e-12).ravel())
+    assert np.mean(off) < 0.1
+    assert few.errors.rms_95 == pytest.approx(many.errors.rms_95, rel=0.06)  # three standard errors
+
+
 def ishigami(u: np.ndarray) -> np.ndarray:
     """Ishigami and Homma 1990, with a = 7, b = 0.1."""
     x = np.pi * (2 * u - 1)

@@ -121,14 +121,13 @@ def _sentences(found: Tolerances) -> Iterator[str]:
 
 
 def _sharpness(found: Tolerances) -> str:
-    text = f"intervals: indices of the error are within +-{_percent(found.widest)} points (95 %)"
-    if found.widest <= ENOUGH:
+    text = f"intervals: all are within +-{_percent(found.widest)} points (95 %)"
+    if found.sharp:
         return f"{text}, sharp enough to rank what differs by more"
-    wanted = found.samples * 2 ** int(np.ceil(2 * np.log2(found.widest / ENOUGH)))
-    if wanted > MOST_SAMPLES:
+    if found.wanted > MOST_SAMPLES:
         return f"{text}, too wide to rank by; {MOST_SAMPLES} samples are the most there can be"
     return (
-        f"{text}, too wide to rank by: about --samples {wanted} brings them below {100 * ENOUGH:.0f} "
+        f"{text}, too wide to rank by: about --samples {found.wanted} brings them below {100 * ENOUGH:.0f} "
         "(four times the samples and the time, half the width)"
     )
 
