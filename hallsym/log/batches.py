@@ -149,9 +149,9 @@ CACHED_ROWS = 250_000
 """Samples of a log in memory whose batches are kept for the next pass: 2 MB for each column."""
 
 
-_Cached = dict[Hashable, list[Batch]]
+_Cached = dict[str, tuple[Hashable, list[Batch]]]
 _CACHE: WeakKeyDictionary[Log, _Cached] = WeakKeyDictionary()
-"""By log and column the batches of one column each."""
+"""By log and column its identity and the batches of it: a computed column at other values takes its place."""
 
 
 def batches(
@@ -180,16 +180,16 @@ def is_cached(log: Log) -> bool:
 
 def forget(log: Log, but: Collection[str]) -> None:
     """Drop the cached batches of all columns of a log but some: many models read more than the log holds."""
-    known, kept = _CACHE.get(log.source, {}), {log.identity(name) for name in but}
-    for key in known.keys() - kept:
-        del known[key]
+    known = _CACHE.get(log.source, {})
+    for name in known.keys() - set(but):
+        del known[name]
 
 
 def _cached(log: Log, columns: Sequence[str]) -> Iterator[Batch]:
     cached = _CACHE.setdefault(log.source, {})
     keys = {name: log.identity(name) for name in columns}
-    if missing := [name for name, key in keys.items() if key not in cached]:
-        cached |= {keys[name]: [] for name in missing}
+    if missing := [name for name, key in keys.items() if name not in cached or cached[name][0] != key]:
+        cached |= {name: (keys[name], []) for name in missing}
         # computed columns in one piece each: memory that thousands of small ones leave serves no large one
         whole, end = {name: np.empty(log.rows) for name in missing if keys[name] != name}, 0
         for batch in _read(log, missing):
@@ -200,8 +200,8 @@ def _cached(log: Log, columns: Sequence[str]) -> Iterator[Batch]:
                     whole[name][start:end] = values
                     values = whole[name][start:end]
                 values.flags.writeable = False
-                cached[keys[name]].append(Batch(batch.runs, {name: values}, batch.edges))
-    for parts in zip(*(cached[key] for key in keys.values()), strict=True):
+                cached[name][1].append(Batch(batch.runs, {name: values}, batch.edges))
+    for parts in zip(*(cached[name][1] for name in keys), strict=True):
         data = {name: next(iter(part.data.values())) for name, part in zip(keys, parts, strict=True)}
         yield Batch(parts[0].runs, data, parts[0].edges)
 
