@@ -72,7 +72,7 @@ They are a random walk on either side of a step (Y.-C. Yao, Ann. Stat. 15 (1987)
 
 
 def instants(
-    r: ResidualTable, holdout: Collection[int], slow: float
+    r: ResidualTable, holdout: Collection[int], inflation: float
 ) -> tuple[tuple[int, float, float, float], ...]:
     """Return, for each channel, the instant [s since the log began] at which a step explains most.
 
@@ -81,12 +81,13 @@ def instants(
     A step of gain and offset is fitted to the residual, beside a gain of the channel and the mean of each
     run. Holdout runs take no part, except that they decide on which side of the step they lie where fitted
     runs leave that open. The step lies within a fitted run if it explains more there than any step between
-    runs, by more than noise: `slow` is the variance of a slow average of the whitened residual.
+    runs, by more than the noise that it leaves: `inflation` is the variance of a slow average of that over
+    the variance of white noise of the same size.
     """
     within, _ = _within(r.run)
     first, fitted = within == 0, ~np.isin(r.run, list(holdout))
     between, inside = np.flatnonzero(first), np.flatnonzero(fitted & (within % SEGMENT == 0) & ~first)
-    noise = slow * r.variance * statistic_at(r.base.policy.certain / (1 + len(inside)), 2)
+    least = statistic_at(r.base.policy.certain / (1 + len(inside)), 2)
     out = []
     for k in range(len(r.residual)):
 
@@ -95,17 +96,19 @@ def instants(
 
         on_sides, inner = gains(between), gains(inside)
         most = float(on_sides.max())
-        if inner.max(initial=0.0) > most + noise[k]:
+        left = float(((r.residual[k] * fitted) ** 2).sum()) - max(most, inner.max(initial=0.0))
+        slow = inflation * left / max(fitted.sum(), 1)
+        if inner.max(initial=0.0) > most + least * slow:
             best = inside[np.argmax(inner)]
             near = np.arange(max(best - SEGMENT, 0), min(best + SEGMENT, len(r.run)))
             near = near[(r.run[near] == r.run[best]) & ~first[near]]
             best = near[np.argmax(gains(near))]
         else:
-            open_ = on_sides >= most - noise[k]  # and not only elsewhere in the log
+            open_ = on_sides >= most - least * slow  # and not only elsewhere in the log
             index = np.cumsum(np.diff(open_, prepend=False))
             equal = between[index == index[np.argmax(on_sides)]]
             best = equal[np.argmax(gains(equal, np.ones_like(fitted)))]
-        out.append((k, *_extent(r, k, int(best), EDGE * slow * float(r.variance[k]))))
+        out.append((k, *_extent(r, k, int(best), EDGE * slow)))
     return tuple(out)
 
 
@@ -224,7 +227,7 @@ def _slips(base: Base, r: ResidualTable, found: Survey) -> tuple[tuple[int, floa
     fitted = {k for k, j in zip(channel, parameter, strict=True) if j in base.free}
     if not base.model.offsets or len(fitted) < len(base.model.channels):
         return ()
-    return instants(r, base.holdout, found.variance * found.inflation)
+    return instants(r, base.holdout, found.inflation)
 
 
 def facts_of(base: Base, found: Survey) -> Facts:

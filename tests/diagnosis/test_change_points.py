@@ -100,7 +100,9 @@ def test_a_slip_is_put_where_it_is(runs, memory, begins, rests, holdout, earlies
         x = noise(np.random.default_rng(seed), memory)[:, : len(at)] + 2.0 * sensed * (at >= begins)
         # noise of a memory: a slow average of white noise varies twice that many times less
         found = replace(table(x), sensed=sensed)
-        ((channel, instant_s, low, high),) = instants(found, holdout, slow=2 * memory)
+        ((channel, instant_s, low, high),) = instants(found, holdout, inflation=2 * memory)
+        larger = instants(replace(found, residual=16 * x), holdout, inflation=2 * memory)
+        assert larger == ((channel, instant_s, low, high),)  # the noise is that of the residual
         assert channel == 0
         assert low < instant_s <= high
         assert 0.01 * earliest - 1e-9 <= instant_s <= 0.01 * latest + 1e-9
@@ -115,7 +117,7 @@ def test_95_of_100_slips_lie_between_the_stated_times() -> None:
         x = rng.standard_normal((1, n)) + 0.6 * sensed * (np.arange(n) >= when)
         found = table(x)
         # between two samples nothing is known of when
-        ((_, _, low, high),) = instants(replace(found, sensed=sensed), holdout={2, 5}, slow=1.0)
+        ((_, _, low, high),) = instants(replace(found, sensed=sensed), holdout={2, 5}, inflation=1.0)
         inside += low <= 0.01 * (when - 0.5) <= high
     assert 0.9 <= inside / 200 <= 1.0
 
