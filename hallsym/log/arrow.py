@@ -40,8 +40,9 @@ class Timed(Source):
         if len(times) == 1 and not any(re.fullmatch("t(_[a-z]+)?", name) for name in others):
             (at,) = times
             names[at] = names[at] if names[at] == f"{T}_s" else T
-        found = zip(names, columns.values(), strict=True)
-        self.call({name: (text, "s" if name == T else unit) for name, (text, unit) in found})
+        found = enumerate(zip(names, columns.values(), strict=True))
+        in_s = {k for k in times if names[k] == T}
+        self.call({name: (text, "s" if k in in_s else unit) for k, (name, (text, unit)) in found})
         self.clocks: dict[str, Seconds] = {}
         self.forms = {names[k]: (form, said[k]) for k, form in times.items()}
         self.notes = tuple(

@@ -485,7 +485,7 @@ def unit_of(text: str) -> str | None:
     ('um', 'deg', 'mv', None)
     """
     plain = unicodedata.normalize("NFKC", text).strip().replace("μ", "u").replace("º", "°")
-    plain = re.sub("(?i)(?:unit|einheit)s?[:=] *", "", plain)
+    plain = re.sub(r"(?i)(?:(?:unit|einheit)s?[:=]|\b(?:in|utc|unix)\b(?= *\w)) *", "", plain)
     plain = re.sub(r"^[\[({<](.*)[\])}>]$", r"\1", plain).strip()
     if plain in _EXACT:
         return _EXACT[plain]
@@ -498,15 +498,16 @@ def unit_of(text: str) -> str | None:
 def split_header(text: str) -> tuple[str, str | None]:
     """Return name and unit of a header's cell; the unit is None where none stands in it.
 
-    >>> split_header("x_ref [µm]"), split_header("Hall A / mV"), split_header("hall_a_m")
-    (('x_ref', 'um'), ('Hall A', 'mv'), ('hall_a_m', None))
+    >>> split_header("x_ref [µm]"), split_header("Hall A / mV"), split_header("Hall(1)")
+    (('x_ref', 'um'), ('Hall A', 'mv'), ('Hall(1)', None))
     """
     if text in _PROGRAMS:
         return _PROGRAMS[text]
     match = _BRACKETS.fullmatch(text)
     if match and match[1]:
         unit = unit_of(match[2])
-        if unit or (match[2].lower() in NO_UNIT and not text.endswith(f"{match[1]}[1]")):  # an index
+        index = match[2].isdigit() and text[len(match[1])] in "[("  # of an array: Hall(1)
+        if unit or (match[2].lower() in NO_UNIT and not index):
             return match[1], unit
         return text, None
     for pattern in _BEHIND:

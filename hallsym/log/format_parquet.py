@@ -13,6 +13,7 @@ from hallsym.log.arrow import Memory, Timed, distinct, is_numeric, is_time, sour
 from hallsym.log.columns import stems_of
 from hallsym.log.pace import pace_in
 from hallsym.log.table import CHUNK_ROWS, IN_MEMORY_ROWS, Source, load
+from hallsym.log.vectors import unit_in
 from hallsym.units import Array
 
 _BUFFER = 1 << 20
@@ -33,7 +34,8 @@ class ParquetSource(Timed):
         self.typed = self.filled and all(map(is_numeric, schema.types))
         self.small = self.rows <= IN_MEMORY_ROWS
         times = {k: "" for k, kind in enumerate(schema.types) if is_time(kind)}
-        self.take(stems_of(distinct(schema.names, quoted(path))), times, quoted(path))
+        stated = [unit_in(field.metadata or {}) for field in schema]
+        self.take(stems_of(distinct(schema.names, quoted(path)), stated), times, quoted(path))
         self.fields, self._own = list(schema), dict(zip(self.names, schema, strict=True))
 
     def texts(self, name: str) -> list[object]:
@@ -73,7 +75,9 @@ def open_parquet(path: Path) -> Source:
     kinds = [field.type for field in source.fields]
     if not source.small or not any(types.is_nested(kind) or types.is_dictionary(kind) for kind in kinds):
         return source
-    return source_of(load("pyarrow.parquet").read_table(path), quoted(path))
+    whole = source_of(load("pyarrow.parquet").read_table(path), quoted(path))
+    whole.units = {**{n: u for n, u in source.units.items() if n in whole.names}, **whole.units}
+    return whole
 
 
 def open_feather(path: Path) -> Memory:

@@ -165,11 +165,11 @@ def _called(
     return found
 
 
-def unit_in(attributes: Mapping[str, object]) -> str | None:
+def unit_in(attributes: Mapping[Any, object]) -> str | None:
     """Return the unit that the attributes of a vector state."""
-    for key, value in attributes.items():
+    for fact in attributes.items():
+        key, text = (v.decode("utf-8", "replace") if isinstance(v, bytes) else str(v) for v in fact)
         if re.fullmatch("(NI_)?unit(s|_string|Description)?", key, re.IGNORECASE):
-            text = value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
             return unit_of(text)
     return None
 

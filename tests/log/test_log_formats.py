@@ -112,6 +112,21 @@ def test_csv_with_byte_order_mark_crlf_and_text_column(tmp_path: Path) -> None:
     assert log.runs == (0,)
 
 
+@pytest.mark.parametrize(
+    ("names", "coding"),
+    [("t [ms];ホールA [um]", "cp932"), ("Time (in ms);x [um]", "utf-8"), ("Stamp [UTC ms];x [um]", "utf-8")],
+)
+def test_units_of_times_and_words_between_columns(tmp_path: Path, names: str, coding: str) -> None:
+    """Statistics below the rows may stand behind an empty cell."""
+    rows = [f"{k};{k};{2 * k}" for k in range(9)]
+    (tmp_path / "log.csv").write_bytes("\n".join([f"n;{names}", *rows, ";Mean;8", ""]).encode(coding))
+    source = read_log(tmp_path / "log.csv").table.source
+    time, x = source.names[1:]
+    assert names.startswith(f"{time} ")
+    assert source.units == {time: "ms", x: "um"}
+    assert source.count() == 9
+
+
 def test_what_is_stated_of_a_csv_file_is_taken(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("t_s;x_ref_m\n0;1,234\n1;2,345\n")
@@ -124,11 +139,13 @@ def test_float32_becomes_float64(tmp_path: Path) -> None:
     import pyarrow.parquet as pq
 
     values = np.linspace(0, 1e-3, 20, dtype=np.float32)
-    pq.write_table(pa.table({"run": np.zeros(20, np.int16), "x_ref_m": values}), tmp_path / "log.parquet")
+    fields = [pa.field("run", pa.int16()), pa.field("x_ref", pa.float32(), metadata={"unit": "mm"})]
+    table = pa.table([np.zeros(20, np.int16), 1e3 * values], schema=pa.schema(fields))
+    pq.write_table(table, tmp_path / "log.parquet")
     block = next(read_log(tmp_path).blocks())
     assert block.run == 0
     assert block.data["x_ref_m"].dtype == np.float64
-    assert np.array_equal(block.data["x_ref_m"], values.astype(float))
+    assert np.array_equal(block.data["x_ref_m"], (1e3 * values).astype(float) * 1e-3)
 
 
 def test_hdf5_with_groups_within_a_group_per_run(tmp_path: Path) -> None:
@@ -142,13 +159,13 @@ def test_hdf5_with_groups_within_a_group_per_run(tmp_path: Path) -> None:
 
 
 def test_what_attributes_and_texts_of_hdf5_say(tmp_path: Path) -> None:
-    with h5py.File(tmp_path / "log.h5", "w") as out:
+    with h5py.File(tmp_path / "log.nc", "w") as out:
         out["time"] = [f"2026-03-02 10:15:0{k}.5".encode() for k in range(3)]
         out["x_ref"] = np.array([10, 20, -1], np.int16)
         out["x_ref"].attrs.update(units="micrometers", scale_factor=0.5, add_offset=1.0, _FillValue=-1)
         for name, width in (("hall", 3), ("tilt", 2)):
             out[f"{name}/Data"] = np.ones((3, width))
-    log = read_log(tmp_path / "log.h5")
+    log = read_log(tmp_path / "log.nc")
     assert (log.array("t_s").tolist(), log.array("x_ref_m").tolist()[:2]) == ([0, 1, 2], [6e-6, 11e-6])
     assert np.isnan(log.array("x_ref_m")[2])
     assert {"hall/Data_0", "hall/Data_2", "tilt/Data_0"} <= {*log.table.source.names}

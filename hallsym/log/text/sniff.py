@@ -250,7 +250,7 @@ LAST = 20
 """Lines at the end of a text that are looked at for words about the table."""
 _COMMENTS = ("#", "%", "//", "!")
 _WORD = re.compile(r"[^\W\d_][\w ]")
-_BEGINS = re.compile(rf"[\s\"']*(?:{_WORD.pattern}|\*)")
+_BEGINS = re.compile(rf"[\s\"',;|]*(?:{_WORD.pattern}|\*)")
 
 
 def sniffed(
@@ -441,7 +441,7 @@ def is_remark(line: str, delimiter: str, width: int, heads: Collection[str]) -> 
     """
     if not _BEGINS.match(line):
         return False
-    first, *others = split(line, delimiter) or [""]
+    first, *others = split(line.lstrip(f" {delimiter}"), delimiter) or [""]
     if first in MISSING or is_number(first) or first in heads:
         return first in heads
     numbers = all(cell in MISSING or is_number(cell) for cell in others)
@@ -463,8 +463,8 @@ _LATIN = re.compile(
     rb"[\x80-\xa0]|(?<=[a-z])[\xa1-\xfe]+(?=[a-z])|(?<![\xa1-\xfe])(?:[\xa1-\xfe]{2})*[\xa1-\xfe](?![\xa1-\xfe])"
 )
 """Bytes that Chinese characters do not have, which come in pairs and in no word: a letter alone, `Größe`."""
-_KANA = re.compile(rb"(?:\x82[\x9f-\xf1]|\x83[\x40-\x96]){2}")
-"""Two characters of Japanese in a row, of which Chinese and Latin ones have no bytes."""
+_KANA = re.compile(rb"(?:\x82[\x9f-\xf1]|\x83[\x40-\x96]|\x81\x5b){2}")
+"""Two characters of Japanese in a row, also the mark of a long vowel; others have no bytes of these."""
 _WIDE, _NARROW = 0.6, 0.1
 """Share of null bytes at even (odd) places above which text is UTF-16; nearly all are."""
 
