@@ -28,6 +28,7 @@ from hallsym.cli.common import (
     FILE_OPTIONS,
     layout_notes,
     open_log,
+    reading_of,
     reading_words,
     runs_in_files,
     say,
@@ -155,7 +156,8 @@ SHOWN_ROWS, SHOWN_COLUMNS, SHOWN_DIGITS = 3, 40, 12
 
 def _opened(options: Namespace) -> Opened:
     paths = [options.file, *options.join] if options.join else options.file
-    return open_source(paths, **{name: getattr(options, name) for name in FILE_OPTIONS})
+    named = {their.name: ours for ours, their in reading_of(options)["columns"].items()}
+    return open_source(paths, mapped=named, **{name: getattr(options, name) for name in FILE_OPTIONS})
 
 
 def _head(source: Source) -> list[Block | str]:

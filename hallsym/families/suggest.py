@@ -10,13 +10,15 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import cache
+from unicodedata import normalize
 
 import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.families import FAMILIES, build, default_model, family_called
 from hallsym.log import Meta
-from hallsym.log.columns import RUN_WORDS, TIME_WORDS, UNNAMED, WORDS, limit_of, numbers_runs
+from hallsym.log.columns import RUN_WORDS, TIME_WORDS, UNNAMED, WORDS, limit_of, numbers_runs, unit_of
+from hallsym.log.pace import sizes_in
 from hallsym.log.table import SHOWN_ROWS, Source
 from hallsym.model import Model
 from hallsym.output import printable, toml_text
@@ -26,7 +28,7 @@ REF, READING, RUN, TIME, ANGLE = "ref", "reading", "run", "t", "angle"
 _SAME: dict[str, tuple[str, ...]] = {
     REF: (
         "ref", "reference", "if", "ifm", "interferometer", "interf", "laser", "true", "cnc", "truth",
-        "actual", "referenz", "ist", "autocollimator", "激光", "参考", "レーザー",
+        "actual", "referenz", "ist", "autocollimator", "激光", "参考", "干涉仪", "レーザー", "干渉計",
     ),
     READING: ("hall", "sensor", "probe", "hs", "ch", "channel", "adc", "sonde", "霍尔", "ホール"),
     RUN: RUN_WORDS,
@@ -34,10 +36,10 @@ _SAME: dict[str, tuple[str, ...]] = {
     ANGLE: ("angle", "theta", "phi", "winkel", "rotation", "rot", "角度"),
     "sin": ("sin", "sine", "sinus"),
     "cos": ("cos", "cosine", "cosinus", "kosinus"),
-    "rx": ("rx", "roll", "tiltx", "wank"),
-    "ry": ("ry", "pitch", "tilty", "nick"),
+    "rx": ("rx", "roll", "tiltx", "wank", "roulis"),
+    "ry": ("ry", "pitch", "tilty", "nick", "tangage"),
     "rz": ("rz", "yaw", "gier"),
-    "z": ("z", "height", "gap", "hoehe", "höhe", "luftspalt", "高度", "气隙", "高さ"),
+    "z": ("z", "height", "gap", "hoehe", "hohe", "hauteur", "luftspalt", "高度", "气隙", "高さ"),
     "col": ("col", "column"),
     "temperature": ("temperature", "temp", "temperatur"),
     "current": ("current", "strom"),
@@ -60,7 +62,10 @@ def words_of(name: str, *, unit: bool = False) -> frozenset[str]:
     >>> sorted(words_of("IFM_X")), sorted(words_of("HallA_um", unit=True)), sorted(words_of("ThetaZ"))
     (['ref', 'x'], ['a', 'reading'], ['rz'])
     """
-    found = [word for part in WORDS.findall(name) for word in _apart(part.lower())]
+    plain = normalize("NFC", re.sub("[\u0300-\u036f]", "", normalize("NFKD", name)))  # without accents
+    odd = WORDS.findall(_odd(plain).lower())  # a unit that nobody knows tells nothing
+    plain = plain[: -len(odd[0]) - 2] if len(odd) == 1 < len(odd[0]) and odd[0] not in _WORDS else plain
+    found = [word for part in WORDS.findall(plain) for word in _apart(part.lower())]
     if unit and len(found) > 1 and found[-1] in UNITS and len(found[-1]) > 1:
         found = found[:-1]
     words = {_WORDS.get(word, word) for word in found} - _IDLE
@@ -68,6 +73,12 @@ def words_of(name: str, *, unit: bool = False) -> frozenset[str]:
         if {ANGLE, axis} <= words:
             words = words - {ANGLE, axis} | {f"r{axis}"}
     return frozenset(words)
+
+
+def _odd(name: str) -> str:
+    """Return what stands in brackets behind a name, where a unit would stand."""
+    behind = re.search(r".[(\[{<](.*\D.*)[)\]}>]$", name)
+    return behind[1] if behind else ""
 
 
 def _apart(word: str) -> tuple[str, ...]:
@@ -296,6 +307,7 @@ def suggest(source: Source, model: str | None = None, meta: Meta | None = None) 
     tried = [(form, _guesses(source, data, form)) for form in forms]
     moving = {name for name, values in data.items() if np.ptp(values[np.isfinite(values)]) > 0}
     chosen, guesses = max(tried, key=lambda one: _covered(one[0], one[1], moving))
+    guesses += _by_rest(source, {n: data[n] for n in moving}, chosen, guesses)
     order = {stem: k for k, stem in enumerate((RUN, TIME, *_stems(chosen), *OTHERS))}
     used = {g.theirs for g in guesses}
     if runs := runs if named else source.run_column(used)[0]:
@@ -319,6 +331,24 @@ def _guesses(source: Source, data: Mapping[str, Array], model: Model) -> list[Gu
         for g in named
     ]
     return [*named, *_by_motion(source, data, model, named, expected)]
+
+
+def _by_rest(source: Source, data: Mapping[str, Array], model: Model, known: Sequence[Guess]) -> list[Guess]:
+    """Return guesses for references of which one of a unit is lacking, as one column of that unit is left."""
+    stems, used = {g.stem for g in known}, {g.theirs for g in known}
+    lacking = [c for c in model.references if split_unit(c)[0] not in stems and not _goes_round(c)]
+    free = {n: UNITS[u].si for n in data if not (n in used or _own(n)) and (u := _stated(source, n))}
+    pairs = (
+        ([c for c in lacking if c.endswith(f"_{si}")], [n for n in free if free[n] == si]) for si in MOTIONS
+    )
+    return [
+        _with_unit(
+            source, data[n], Guess(split_unit(c)[0], n, (), "no other column left has its unit"), model
+        )
+        for ours, theirs in pairs
+        if len(lacking) < len(model.references) and len(ours) == len(theirs) == 1
+        for c, n in zip(ours, theirs, strict=True)
+    ]
 
 
 def _expected(data: Mapping[str, Array], model: Model, named: Sequence[Guess]) -> dict[str, Array]:
@@ -464,10 +494,11 @@ def _by_name(source: Source, data: Mapping[str, Array], model: Model) -> list[Gu
 
 
 def _is_clock(values: Array) -> bool:
-    """Say whether values are such as times: they rise by even steps."""
+    """Say whether values are such as times: they rise by even steps; each may be there twice."""
     if not np.isfinite(values).all() or len(values) < 3:
         return False
     steps = np.diff(values)
+    steps = steps[steps != 0] if 2 * (steps == 0).sum() <= len(values) else steps
     usual = np.median(steps)
     return bool(usual > 0 and (np.abs(steps - usual) < 0.5 * usual).mean() > 0.8)
 
@@ -515,9 +546,14 @@ def _with_unit(
     `expected`: what the values should be in SI, which decides.
     """
     stated, kinds = _stated(source, guess.theirs), _kinds(guess.stem, model)
-    behind = re.search(r".[(\[{<](.+)[)\]}>]$", guess.theirs)
-    odd = behind[1] if behind and not stated else ""  # where a unit would stand
+    odd = "" if stated else _odd(guess.theirs)
     whole = guess.stem in _stems(model) and _whole(values) and np.ptp(values) >= COUNTED
+    if odd or (whole and stated in ("", "count")):
+        each = unit_of(odd or "counts") or odd.lower().rstrip("s")
+        sizes = {s[:2] for s in sizes_in(source.facts) if UNITS[s[1]].si in kinds and s[2] == each}
+        for size, unit in sizes if len(sizes) == 1 else ():
+            said = f"{guess.why}; the file states {size:g} {unit} per {each}"
+            return replace(guess, units=(unit,), scale=size, why=said)
     going_round = "rad" in kinds and _goes_round(f"{guess.stem}_rad")
     if going_round and (stated == "count" or (whole and not stated)):
         said = STATED if stated else "whole numbers"

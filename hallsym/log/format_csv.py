@@ -46,7 +46,7 @@ class CsvSource(Timed):
         self.take(dialect.stems, dialect.times, self.where)
         bytes_read = path.stat().st_size * (COMPRESSED if text.compressed else 1)
         self.small = data is not None or bytes_read <= IN_MEMORY_BYTES
-        self.recognised, self.pace = dialect.said, pace_in(dialect.facts)
+        self.recognised, self.facts, self.pace = dialect.said, dialect.facts, pace_in(dialect.facts)
         odd = [] if dialect.usual else [f"{self.where} is read as {self.recognised}."]
         self.notes += (*odd, *([_TORN.format(self.where)] if dialect.torn else []))
 

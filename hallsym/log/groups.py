@@ -343,7 +343,8 @@ class GroupedSource(Source):
             if g.since != master.since:
                 raise InputError(
                     f"Groups {master.name} and {g.name} of {self.where} count time from different starts"
-                    f" ({master.since} and {g.since}); they cannot be put on one clock."
+                    f" ({master.since} and {g.since}); they cannot be put on one clock: state the time of"
+                    " each with its unit, such as --column t_ms=ITS_NAME, or count both from one start."
                 )
             if begin >= end:
                 raise InputError(

@@ -38,6 +38,7 @@ class Source(ABC):
     stated. `read_with`: the options that it was read with, by name. `path`: where the file is on a disk.
     `since`: what the times count from that its format gives. `clocks`: of columns of times, what knows the
     `moment` of their zero [ns since 1970] once they were read. `pace`: the sample interval, if it states one.
+    `facts`: what lines above the names say, by name.
     `filled`: whether the file says that no first cell is empty. `typed`: whether its types say that all
     columns hold numbers.
     """
@@ -55,6 +56,7 @@ class Source(ABC):
     since: str = ""
     clocks: Mapping[str, Any] = {}
     pace: Any = None
+    facts: Mapping[str, str] = {}
     filled: bool = False
     typed: bool = False
 

@@ -80,6 +80,33 @@ def test_numbered_readings_of_any_name_are_the_channels_in_order(columns: dict[s
     ]
 
 
+@pytest.mark.parametrize(("x", "yaw"), [("Réf X", "Lacet"), ("Xref", "Guiñada Rz"), ("干渉計X", "ヨー角Rz")])
+def test_names_in_other_languages_and_the_last_reference_of_a_unit(
+    columns: dict[str, np.ndarray], x: str, yaw: str
+) -> None:
+    made = found(guessed(columns, x_ref_m=(f"{x} [um]", 1e6), rz_ref_rad=(f"{yaw} [urad]", 1e6)))
+    assert (made["x_ref"], made["rz_ref"]) == ((x, "um", 1), (yaw, "urad", 1))
+
+
+def test_what_a_file_says_of_its_counts_is_their_scale_and_samples_may_stand_twice(tmp_path: Path) -> None:
+    """A wave of 30 mm in counts of 0.1 mV, the reference in fringes; columns with an index in brackets."""
+    x = np.repeat(np.linspace(0, 0.06, 500), 2)
+    halls = [np.round(5e3 * np.sin(2 * np.pi * (x / 0.03 - k / 3))) for k in range(3)]
+    table = np.column_stack([np.repeat(np.arange(500), 2), *halls, x / 158e-9, np.full(1000, 6.0)])
+    head = "ADC;16 bit, 1 LSB = 0.1 mV\nLaser;158 nm/fringe\nTime [ms];H(1);H(2);H(3);X (fringes);Z [mm]\n"
+    rows = "\n".join(";".join(f"{v:.0f}" for v in row) for row in table.tolist())
+    (tmp_path / "log.csv").write_text(f"{head}{rows}\n")
+    made = suggest(open_source(tmp_path / "log.csv").source, "halbach")
+    assert {g.ours: (g.theirs, g.scale) for g in made.guesses} == {
+        "t_ms": ("Time", None), "col_0_mv": ("H(1)", 0.1), "col_1_mv": ("H(2)", 0.1),
+        "col_2_mv": ("H(3)", 0.1), "x_ref_nm": ("X (fringes)", 158.0), "z_ref_mm": ("Z", None),
+    }  # fmt: skip
+    assert not made.open
+    (tmp_path / "log.csv").write_text(f"Monitor;1 LSB = 1 mV\n{head}{rows}\n")  # which is not known
+    made = suggest(open_source(tmp_path / "log.csv").source, "halbach")
+    assert {g.ours for g in made.guesses} >= {"col_0_v", "x_ref_nm"}
+
+
 def test_numbered_sums_are_as_many_columns_of_an_array() -> None:
     x, z = np.linspace(0, 0.06, 500), np.full(500, 6e-3)
     waves = {f"H{k:02d} [mV]": 500 * np.sin(2 * np.pi * (x / 0.03 - k / 3)) for k in range(1, 6)}
