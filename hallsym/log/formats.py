@@ -70,7 +70,7 @@ FORMATS = (
     Format("feather", (".feather", ".arrow", ".arrows"), open_feather, "Feather"),
     Format("json", (".jsonl", ".ndjson"), open_json, "JSON lines"),
     Format("json", (".json",), open_json, "JSON", found=False),  # beside a log it says what that is
-    Format("hdf5", (".h5", ".hdf5", ".nc"), partial(Isolated, open_hdf5), "HDF5", ("clock",)),
+    Format("hdf5", (".h5", ".hdf5"), partial(Isolated, open_hdf5), "HDF5", ("clock",)),
     Format("mat", (".mat",), partial(Isolated, open_mat), "MATLAB", ("clock",)),
     Format("npz", (".npz", ".npy"), open_numpy, "NumPy", ("clock",)),
     Format("xlsx", (".xlsx", ".xlsm", ".xls", ".ods"), open_workbook, "workbook", ("sheet", "decimal")),

@@ -159,13 +159,13 @@ def test_hdf5_with_groups_within_a_group_per_run(tmp_path: Path) -> None:
 
 
 def test_what_attributes_and_texts_of_hdf5_say(tmp_path: Path) -> None:
-    with h5py.File(tmp_path / "log.nc", "w") as out:
+    with h5py.File(tmp_path / "log.h5", "w") as out:
         out["time"] = [f"2026-03-02 10:15:0{k}.5".encode() for k in range(3)]
         out["x_ref"] = np.array([10, 20, -1], np.int16)
         out["x_ref"].attrs.update(units="micrometers", scale_factor=0.5, add_offset=1.0, _FillValue=-1)
         for name, width in (("hall", 3), ("tilt", 2)):
             out[f"{name}/Data"] = np.ones((3, width))
-    log = read_log(tmp_path / "log.nc")
+    log = read_log(tmp_path / "log.h5")
     assert (log.array("t_s").tolist(), log.array("x_ref_m").tolist()[:2]) == ([0, 1, 2], [6e-6, 11e-6])
     assert np.isnan(log.array("x_ref_m")[2])
     assert {"hall/Data_0", "hall/Data_2", "tilt/Data_0"} <= {*log.table.source.names}
