@@ -66,9 +66,9 @@ def of_samples(found: Survey, policy: Policy) -> Iterator[Fault]:
 
     The residual is split into the part that a time shift explains (z) and the rest, each into body and tail.
     The body is measured by quartiles, which are robust to rare samples: its growth with speed is jitter. The
-    excess of the mean square is the tail: late samples, or spikes. The number of spikes is compared with the
-    number expected from the body, that of late samples with that of early ones: noise has both, however heavy
-    its tails.
+    excess of the mean square is the tail: late samples, or spikes. The number of either is compared with the
+    number expected from the body, that of late samples also with that of early ones: noise has both, however
+    heavy its tails.
     """
     (z, size, rest), K = found.instants, len(found.adc_step)
     n, bins, across = len(z), 2 * policy.fewest, max(K - 1, 1)
@@ -97,14 +97,16 @@ def of_samples(found: Survey, policy: Policy) -> Iterator[Fault]:
         # a late sample is off along the motion only, and never early: as many early as late ones are spikes
         balanced = 2 * min(float((z[side] ** 2).sum()) for side in (early, old)) / n
         if of_spikes + balanced > policy.half * tail:
-            expected_far = policy.tails * exceeds(rest, across, limit, beside) * n
-            p = float(gammainc(_events(spikes), max(expected_far, 1e-300)))  # Poisson
+            p = _as_many(spikes, exceeds(rest, across, limit, beside), policy)
             text = f"{share:.2g} % of the samples are spikes"
             yield fault("outliers", text, tail, p, Estimate(share / 100, None, "1"))
         share, sides = 100 * float(late.mean()), (_events(early), _events(old))
-        p = min(1.0, 2 * as_often(max(sides), sum(sides), 0.5))
-        text = f"{share:.2g} % of the samples are old"
-        yield fault("dropped_samples", text, tail, p, Estimate(share / 100, None, "1"))
+        if (signs := 2 * as_often(max(sides), sum(sides), 0.5)) < policy.false_alarm:
+            # their number does not depend on their signs, so Fisher's combination is of both
+            many = max(_as_many(late, exceeds(z**2 / expected, 1, far_z, white), policy), 1e-300)
+            p = float(chdtrc(4, -2 * np.log(signs * many)))
+            text = f"{share:.2g} % of the samples are old"
+            yield fault("dropped_samples", text, tail, p, Estimate(share / 100, None, "1"))
     if z[1:] @ z[:-1] < policy.smooth * (z @ z):
         rms, power = float(np.sqrt(growth)), growth * float(np.mean(size**2))
         p = float(stdtr(bins - 2, -slope / max(error, 1e-300)))
@@ -152,6 +154,11 @@ def _filtered(directions: int) -> np.ndarray:
 def _events(far: np.ndarray) -> int:
     """Count groups of neighbouring samples: an event of several samples counts once."""
     return int(np.count_nonzero(np.diff(far.astype(int), prepend=0) > 0))
+
+
+def _as_many(far: np.ndarray, chance: float, policy: Policy) -> float:
+    """Return the probability (Poisson) of as many events as `far` has, of a `chance` at each sample."""
+    return float(gammainc(_events(far), max(policy.tails * chance * len(far), 1e-300)))
 
 
 def _growth(z: np.ndarray, size: np.ndarray, bins: int, quartile: float) -> tuple[float, float, float]:

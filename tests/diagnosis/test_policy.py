@@ -221,7 +221,17 @@ def test_late_samples_are_all_late_and_noise_is_as_often_early(one_sided):
     rest[50::500] += 100.0  # a few of them across the motion
     found = sampled(z, rest)
     assert ("outliers" in found) != one_sided
-    assert found["dropped_samples"] < 1e-20 if one_sided else found["dropped_samples"] > POLICY.false_alarm
+    assert found.get("dropped_samples", 1.0) < 1e-20 if one_sided else "dropped_samples" not in found
+
+
+def test_eight_late_samples_are_certain_by_their_size():
+    """By their signs alone they are a chance of one in 128."""
+    rng = np.random.default_rng(5)
+    z, rest = rng.standard_normal(4000), rng.standard_normal(4000) ** 2
+    z[250::500] = rng.uniform(20.0, 50.0, 8)
+    assert sampled(z, rest)["dropped_samples"] < 1e-6
+    z[250::1000] *= -1
+    assert "dropped_samples" not in sampled(z, rest)
 
 
 # -- input -------------------------------------------------------------------------------------------------
