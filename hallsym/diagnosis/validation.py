@@ -199,9 +199,7 @@ def validate(setup: Setup, selection: Selection) -> Validation:
     whole = survey(end.on_all, runs)
     kept = survey(end, runs) if end.keep else whole
     found = [f for f in faults(end, whole, setup.tested) if cures(f) >= setup.threshold]
-    rest, least = lack_of_fit(end, setup.runs), setup.floor_fitted.least * (1 + setup.policy.negligible)
-    if found and decoded_errors(end.on_all, setup.runs).metric <= least:
-        found = []
+    rest = lack_of_fit(end, setup.runs)
     if shaped(setup, rest):  # which may look like late samples here and there
         least = max([rest.tones, *(s.drop for s in rest.shapes)])
         found = [f for f in found if f.name != "clock_jitter" and cures(f) >= least]
