@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from itertools import combinations, groupby, islice, permutations, product
+from itertools import combinations, groupby, islice, pairwise, permutations, product
 
 import casadi as ca
 import numpy as np
@@ -19,11 +19,11 @@ import scipy
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Claim, Fit
 from hallsym.estimation.decoding import columns_of, logged_columns, residuals
-from hallsym.estimation.factors import exact, summarise
+from hallsym.estimation.factors import exact, program, summarise
 from hallsym.estimation.goodness_of_fit import noise_followed
 from hallsym.estimation.identifiable import determine
 from hallsym.estimation.likelihood import Cost, cost_near, cost_of
-from hallsym.estimation.optimum import NEWTON, SETTLING, closed_form, linear_fit, optimum, refit
+from hallsym.estimation.optimum import CLOSELY, NEWTON, SETTLING, closed_form, linear_fit, optimum, refit
 from hallsym.estimation.task import noise_of, silent
 from hallsym.families.recording import Correction, as_corrections, corrected_run, repeats, said, scales
 from hallsym.log import Log, Noise
@@ -37,6 +37,7 @@ from hallsym.log.quality.scan import is_noisy
 from hallsym.log.table import joined
 from hallsym.model import Model, Parameter, Signals
 from hallsym.units import UNITS, si_unit
+from solvers import bounded_step
 
 SAMPLES = 8_000
 """Samples that a mistake is tried on: enough for parameters to a part in a hundred, and quickly fitted."""
@@ -44,8 +45,6 @@ FEW = 4_000
 """Readings of a model without run statistics, each pass over which costs as much as a fit of others."""
 READ = 400_000
 """Samples that are read at most: corrections are made at the full rate, before samples are picked."""
-CLOSELY = 1e-6
-"""Share of the cost within which a trial is fitted: less than chance makes of it."""
 STEPS_TRIED = 40
 """Newton steps of a trial: what needs more is far from right."""
 MOST_NOISE = 0.05
@@ -214,13 +213,8 @@ def _listed(texts: Sequence[str]) -> str:
 
 WIDE = tuple(10.0**n for n in (-5, -3, -1, 1, 3, 5))
 """Scales that are tried first; those within two decades of the best follow, and of a better one."""
-MEANS = (3, 7, 16)
-"""Samples of centred means that are tried, before those between them."""
-SHIFTS = (1, 3, 8, 24)
-"""Delays in samples that are tried, either way, before those between them and the best."""
-
-STEPS = {"delay": sorted({*SHIFTS, 0, *(-s for s in SHIFTS)}), "averaged": [2, *MEANS]}
-"""The samples of each kind between which others are tried about the best."""
+STEPS = {"delay": (-24, -6, -1, 1, 6, 24), "averaged": (2, 6, 16)}
+"""Samples of delays and of centred means that are tried before those between them and the best."""
 
 
 def groups(
@@ -261,8 +255,7 @@ def hypotheses(model: Model, columns: Sequence[str], worst: Sequence[str]) -> It
     yield from (Correction("exchange", pair) for pair in combinations(logged, 2))
     yield from (Correction("exchange", pair) for pair in combinations(worst, 2))
     for g in each:
-        yield from (Correction("delay", g, (float(s * n),)) for n in SHIFTS for s in (1, -1))
-        yield from (Correction("averaged", g, (float(n),)) for n in MEANS)
+        yield from (Correction(kind, g, (float(n),)) for kind, steps in STEPS.items() for n in steps)
 
 
 # -- how it is tried ---------------------------------------------------------------------------------------
@@ -337,20 +330,29 @@ class Trials:
         """The run of each sample."""
         return np.concatenate([np.full(at.stop - at.start, run) for run, at in self.spans])
 
-    def log(
-        self,
-        corrections: Sequence[Correction] = (),
-        runs: Sequence[int] | None = None,
-    ) -> Log:
+    def log(self, corrections: Sequence[Correction] = (), runs: Sequence[int] | None = None) -> Log:
         """Return the samples that are tried, of some runs, without mistakes; the last are kept."""
         key = tuple(corrections), runs and tuple(runs)
-        if key in self._last:
-            return self._last[key]
+        if key not in self._last:
+            arrays, noise = self.samples(corrections, runs)
+            self._last = {key: as_continuous(Log.from_arrays(arrays, noise, self.given.meta))}
+        return self._last[key]
+
+    def samples(
+        self, corrections: Sequence[Correction], runs: Sequence[int] | None
+    ) -> tuple[dict[str, np.ndarray], Noise]:
+        """Return the columns of these samples, and their noise."""
         own = runs is not None and not {*self.model.period} & {*self.model.channels}
         spans = [(r, at) for r, at in self.spans if r in runs] if own and runs else self.spans
-        done = [corrected_run(Block(run, {c: v[at] for c, v in self.full.items()}), corrections)
+        touched = [c for one in corrections for c in one.columns if c in self.full] or self.columns[:1]
+        done = [corrected_run(Block(run, {c: self.full[c][at] for c in touched}), corrections)
                 for run, at in spans]  # fmt: skip
-        columns = dict(joined([data for data, _ in done], self.columns))
+        columns = (
+            self.full
+            if spans is self.spans
+            else {c: np.concatenate([v[at] for _, at in spans]) for c, v in self.full.items()}
+        )
+        columns = {**columns, **joined([data for data, _ in done], touched)}
         keep = np.concatenate([
             np.ones(at.stop - at.start, bool) if stays is None else stays
             for (_, at), (_, stays) in zip(spans, done, strict=True)
@@ -373,9 +375,7 @@ class Trials:
         pick = np.flatnonzero(wanted & (late % every == 0))  # ends of runs are seen in some
         if not len(pick):
             raise InputError("No sample would be left; leave that correction out.")
-        arrays = {RUN: run[pick], **{c: v[pick] for c, v in columns.items()}}
-        self._last = {key: as_continuous(Log.from_arrays(arrays, noise, self.given.meta))}
-        return self._last[key]
+        return {RUN: run[pick], **{c: v[pick] for c, v in columns.items()}}, noise
 
     def fitted(
         self,
@@ -397,24 +397,26 @@ class Trials:
         self, corrections: tuple[Correction, ...], runs: Sequence[int] | None, closely: bool
     ) -> Tried | None:
         log = self.log(corrections, runs)
+        if not (self.model.offsets or self.model.computed or (closely and exact(self.model))):
+            arrays = {
+                RUN: np.zeros(log.rows),
+                **{c: log.array(c) for c in self.columns},
+            }  # one run is quicker
+            log = as_continuous(Log.from_arrays(arrays, log.noise, log.meta))
         if not exact(self.model):
             guess, noise = self.model.guess, noise_of(log, self.model).std
             begin = self.model.vector(guess(self.model, log)) if guess else self.model.nominal
-            if not (self.model.offsets or self.model.computed):  # one run is quicker
-                arrays = {RUN: np.zeros(log.rows), **{c: log.array(c) for c in self.columns}}
-                log = as_continuous(Log.from_arrays(arrays, log.noise, log.meta))
-            state = optimum(log, self.model, noise, begin, (), None, silent, NEWTON)
+            state = optimum(log, self.model, noise, begin, (), None, silent, NEWTON, ROUNDS)
             return self.at(corrections, state.p, runs)
-        summary, within = summarise(log, self.model), _within(log, self.model)
+        summary = summarise(log, self.model)
         merged = cost_of(summary.merged(), log.noise.std)
         first = np.clip(closed_form(merged, linear_fit(merged)), *self.model.bounds)
         if not closely:
-            within = summary.counts[None] @ within / merged.summary.counts[0]
-            return Tried(corrections, merged, first, self.model, within, log)
+            return Tried(corrections, merged, first, self.model, log)
         found = determine(merged, first)
         first, fixed = found.begin(self.model, first), found.not_free
         p = refit(merged, first, fixed, CLOSELY, STEPS_TRIED) if len(fixed) < len(first) else first
-        return Tried(corrections, cost_of(summary, log.noise.std), p, self.model, within, log)
+        return Tried(corrections, cost_of(summary, log.noise.std), p, self.model, log)
 
     def at(
         self, corrections: Sequence[Correction], p: np.ndarray, runs: Sequence[int] | None
@@ -424,37 +426,22 @@ class Trials:
             log = self.log(corrections, runs)
             rounds = SETTLING if self.model.offsets else 1
             cost = cost_near(log, self.model, p, log.noise.std, rounds=rounds)
-            return Tried(tuple(corrections), cost, p, self.model, _within(log, self.model), log)
+            return Tried(tuple(corrections), cost, p, self.model, log)
         except (InputError, np.linalg.LinAlgError):
             return None
-
-
-def _within(log: Log, model: Model) -> np.ndarray:
-    """Return the variance of readings within each run, (runs, readings).
-
-    Of one that repeats that of a phase at random, at most: the turns that it is given are its reference's.
-    """
-    run = log.array(RUN)
-    starts = np.flatnonzero(np.diff(run, prepend=np.nan))
-    counts = np.diff([*starts, len(run)])[:, None]
-    x = np.stack([log.array(c) for c in model.channels], axis=1)
-    x = x - np.repeat(np.add.reduceat(x, starts) / counts, counts[:, 0], axis=0)
-    most = [model.period.get(c, np.inf) ** 2 / 12 for c in model.channels]
-    return np.minimum(np.add.reduceat(x**2, starts) / counts, most)
 
 
 @dataclass(frozen=True, eq=False)
 class Tried:
     """A log without mistakes, and the parameters that it was judged by.
 
-    `within`: variance of each reading within each run, (runs, readings). `log`: with these runs, or more.
+    `log`: with these runs, or more.
     """
 
     corrections: tuple[Correction, ...]
     cost: Cost
     p: np.ndarray
     model: Model
-    within: np.ndarray
     log: Log
 
     @cached_property
@@ -494,6 +481,21 @@ class Tried:
         return after.mean(after.left) / max(self.mean(self.left), 1e-300)
 
     @cached_property
+    def within(self) -> np.ndarray:
+        """Variance of readings within each run, (runs, readings).
+
+        Of one that repeats, a phase at random's at most: the turns that it is given are its reference's.
+        """
+        log, model = self.log, self.model
+        run = log.array(RUN)
+        starts = np.flatnonzero(np.diff(run, prepend=np.nan))
+        counts = np.diff([*starts, len(run)])[:, None]
+        x = np.stack([log.array(c) for c in model.channels], axis=1)
+        x = x - np.repeat(np.add.reduceat(x, starts) / counts, counts[:, 0], axis=0)
+        most = [model.period.get(c, np.inf) ** 2 / 12 for c in model.channels]
+        return np.asarray(np.minimum(np.add.reduceat(x**2, starts) / counts, most))
+
+    @cached_property
     def shares(self) -> np.ndarray:
         """Shares of a reading's variance within a run: what is left, what is noise, (2, readings).
 
@@ -528,28 +530,94 @@ class Tried:
         return float(weights @ np.array([of[r] for r in some]) / max(weights.sum(), 1.0))
 
 
-def _screen(trials: Trials, base: Tried, runs: Sequence[int], *, free: bool) -> Callable[[Correction], float]:
-    """Return a function of the share of the residual that a correction leaves in some runs, without its fit.
+Screen = Callable[[Sequence[Correction]], Mapping[Correction, float]]
 
-    `free`: at parameters of its own: where a fit begins, the optimum of the tangent at `base`, or, as no
+
+def _screen(trials: Trials, base: Tried, runs: Sequence[int], *, free: bool) -> Screen:
+    """Return a function of the shares of the residual that corrections leave in some runs, without a fit.
+
+    `free`: at parameters of their own: where a fit begins, the optimum of the tangent at `base`, or, as no
     tangent knows offsets of runs where no reading follows, of a few runs. Else at those of `base`.
     """
-    model, p = trials.model, base.p
+    model = trials.model
     if free and (exact(model) or model.offsets or model.computed):
         few = None if exact(model) else runs[:: -(-len(runs) // FEWEST)]
         first = trials.fitted((), few) if few else base
-        return lambda c: first.rest(trials.fitted((c,), few, closely=False)) if first else np.inf
+        return lambda many: {
+            c: first.rest(trials.fitted((c,), few, closely=False)) if first else np.inf for c in many
+        }
+    if model.computed or (model.offsets and not exact(model)):
+        return lambda many: {c: base.rest(trials.at((_of(c, runs),), base.p, runs)) for c in many}
+    return _on_tangents(trials, base.p, runs, free=free)
 
-    def screened(c: Correction) -> float:
-        found = trials.at((c,), p, runs)
-        try:
-            if found and free:
-                cost = cost_of(found.cost.summary.merged(), found.log.noise.std)
-                found = replace(found, cost=cost, p=refit(cost, p, (), CLOSELY, SETTLING))
-            share = base.rest(found)
-        except np.linalg.LinAlgError:  # its noise is beyond numbers
-            return np.inf
-        return share if share >= 0 else np.inf  # of rounding
+
+AT_ONCE = 2048
+"""Samples whose tangents are computed at once: so many that the numbers take longer than the calls."""
+
+
+def _on_tangents(trials: Trials, p: np.ndarray, runs: Sequence[int], *, free: bool) -> Screen:
+    """Return the same on the tangents of samples at `p` (n,), which many corrections share.
+
+    `free`: the parameters move, else the offsets of runs. Triangles of many readings hold more numbers than
+    few samples do. The noise of logged columns enters a residual as it does without a correction.
+    """
+    model, parts = trials.model, program(trials.model)
+    logged, K, z = (*model.references, *model.state), len(model.channels), len(model.offsets)
+    low, high = (b - p for b in model.bounds) if free else np.outer((-np.inf, np.inf), np.ones(z))
+    k, j = np.array(parts.entries if free else parts.zero_entries, dtype=int).reshape(-1, 2).T
+    moving = slice(free * len(parts.zero_entries), free * len(parts.zero_entries) + len(k))
+
+    def read(data: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Return readings (K, samples), and their slopes with what moves, (K, unknowns, samples)."""
+        pose, state = ([data[c] for c in some] for some in (model.references, model.state))
+        rows = parts.values(p, np.zeros((z, len(data[RUN]))), pose, state)[0]
+        slopes = np.zeros((K, len(low), rows.shape[1]))
+        slopes[k, j] = rows[moving]
+        return rows[-K:], slopes
+
+    def spread(c: str) -> np.ndarray:
+        """Return the mean product of the slopes of readings with a column, (K, K)."""
+        h = 1e-3 * float(np.ptp(plain[c])) or 1e-9
+        slope = (read({**plain, c: plain[c] + h})[0] - read(plain)[0]) / h
+        return np.asarray(slope @ slope.T / slope.shape[1])
+
+    def whitening(noise: Noise) -> np.ndarray:
+        own = np.diag([noise[c].value ** 2 for c in model.channels])
+        return np.linalg.inv(np.linalg.cholesky(own + sum(noise[c].value ** 2 * by[c] for c in by)))
+
+    def left(many: Sequence[tuple[Mapping[str, np.ndarray], np.ndarray]]) -> np.ndarray:
+        """Return the mean square of the whitened residual of samples, of each (samples, whitening)."""
+        data = joined([data for data, _ in many], (RUN, *logged, *model.channels))
+        counts = [len(own[RUN]) for own, _ in many]
+        log = np.repeat(np.arange(len(many)), counts)
+        new = (np.diff(log, prepend=-1) != 0) | ((not free) & (np.diff(data[RUN], prepend=0) != 0))
+        expected, slopes = read(data)
+        rest, squares = np.stack([data[c] for c in model.channels]) - expected, np.zeros(len(many))
+        for at in (slice(a, b) for a, b in pairwise([*np.flatnonzero(new), len(log)])):
+            whiten = many[log[at.start]][1]
+            e = (whiten @ rest[:, at]).ravel()
+            J = np.swapaxes(np.tensordot(whiten, slopes[:, :, at], 1), 0, 1).reshape(len(low), e.size)
+            squares[log[at.start]] += e @ e
+            if np.isfinite(H := J @ J.T).all() and np.isfinite(e @ e):
+                squares[log[at.start]] -= 2 * bounded_step(-J @ e, H, low, high)[1]
+        fitted = 0 if free else z * np.bincount(log[new])
+        return np.asarray(squares / np.maximum(np.array(counts) * K - fitted, 1))
+
+    plain, noise = trials.samples((), runs)
+    by = {c: spread(c) for c in logged if c in noise}
+    usual, samples = left([(plain, whitening(noise))])[0], len(plain[RUN])
+
+    def screened(many: Sequence[Correction]) -> dict[Correction, float]:
+        found, out, size = [], dict.fromkeys(many, np.inf), max(1, AT_ONCE // samples)
+        for c in many:
+            with suppress(InputError, np.linalg.LinAlgError):
+                data, noise = trials.samples((c if free else _of(c, runs),), runs)
+                if c.kind not in STEPS or len(data[RUN]) > KEEPS * samples:  # as `Tried.rest`
+                    found.append((c, data, whitening(noise)))
+        for some in (found[n : n + size] for n in range(0, len(found), size)):
+            shares = left([(data, whiten) for _, data, whiten in some]) / max(usual, 1e-300)
+            out |= {c: share for (c, *_), share in zip(some, shares.tolist(), strict=True) if share >= 0}
+        return out
 
     return screened
 
@@ -569,7 +637,8 @@ ALONE = 3.0
 FEWEST = 4
 """Runs from which on some can be judged by the others."""
 ROUNDS = 8
-"""Of finding the runs that agree, and of finding the size of a step, at most."""
+"""Of finding the runs that agree, of finding the size of a step, and passes of a trial, at most: what is
+right takes 3 to 6."""
 SETTLED = 1e-3
 """Part of a size by which a round may still change it."""
 RIVAL = 20.0
@@ -757,12 +826,12 @@ def _best(
     trials: Trials,
     base: Tried,
     tried: Callable[[Correction], Tried | None],
-    screened: Callable[[Correction], float],
+    screened: Screen,
     runs: Sequence[int],
 ) -> Found | None:
     """Return the mistake that explains the excess of `base` in some runs best; None where none does.
 
-    `screened`: the share of what is left that a correction leaves about; the best are `tried`.
+    `screened`: the shares of what is left that corrections leave about; the best are `tried`.
     """
     before = base.mean(base.deviance, runs)
     seen: list[Judged] = []
@@ -814,9 +883,9 @@ def _best(
         *hypotheses(trials.model, trials.columns, base.worst(runs)), *of_samples(trials, base)
     ]  # fmt: skip
     while more:
-        shares |= {c: screened(c) for c in more}
+        shares |= screened(more)
         more = _closer(trials.model, shares)
-    for c in sorted((c for c in shares if shares[c] < 1), key=shares.__getitem__)[:CLOSEST]:
+    for c in (c for own in _closest(shares) for c in own[:NUMBERS]):
         judge(c)
     named = min(filter(_good, seen), key=lambda one: one.after, default=None)
     if not named or named.correction.kind == "scale" or named.left >= EXCESS:
@@ -877,35 +946,43 @@ def _same(a: Correction, b: Correction) -> bool:
     return (a.kind, a.columns, a.runs) == (b.kind, b.columns, b.runs)
 
 
-def _closer(model: Model, shares: Mapping[Correction, float]) -> list[Correction]:
-    """Return the delays, means and scales beside the best of each group of columns that were not tried yet.
+def _closest(shares: Mapping[Correction, float]) -> Iterator[list[Correction]]:
+    """Yield the best corrections of the `CLOSEST` best groups of columns of each kind, the best first.
 
-    Beside the best delay either way: at constant speed what is early by a part of a turn is late by the rest.
+    Delays either way are two kinds: at constant speed what is early by a part of a turn is late by the rest.
+    """
+    kinds: dict[tuple[str, bool], dict[tuple[str, ...], list[Correction]]] = {}
+    for c in sorted((c for c in shares if shares[c] < 1), key=shares.__getitem__):
+        late = c.kind == "delay" and c.numbers[0] > 0
+        kinds.setdefault((c.kind, late), {}).setdefault(c.columns, []).append(c)
+    for groups in kinds.values():
+        yield from islice(groups.values(), CLOSEST)
+
+
+def _closer(model: Model, shares: Mapping[Correction, float]) -> list[Correction]:
+    """Return the delays and means halfway to those beside the closest, and scales beside, not tried yet.
+
     `shares`: what was tried, and the share that it leaves of what was left.
     """
-    best: dict[tuple[str, tuple[str, ...], bool], Correction] = {}
-    for c, share in shares.items():
-        if share < (PART if c.kind in STEPS else 1 - NOTHING) and (c.kind in STEPS or c.kind == "scale"):
-            late = c.kind in STEPS and c.numbers[0] > 0
-            one = c.kind, c.columns, late
-            best[one] = min(best.get(one, c), c, key=shares.__getitem__)
     out = []
-    for c in best.values():
+    for c, *_ in _closest(shares):
+        if shares[c] > (PART if c.kind in STEPS else 1 - NOTHING) or c.kind not in (*STEPS, "scale"):
+            continue
         if c.kind == "scale":
             near = (WIDE[1] / WIDE[0]) * (1 + NOTHING)
             out += [o for o in _scaled(model, c.columns) if 1 / near < o.numbers[0] / c.numbers[0] < near]
             continue
-        steps, n = STEPS[c.kind], int(c.numbers[0])
-        low = max((k for k in steps if k < n), default=n)
-        high = min((k for k in steps if k > n), default=n)
-        out += [replace(c, numbers=(float(k),)) for k in range(low, high + 1) if k]
+        n, tried = c.numbers[0], [0.0, *(o.numbers[0] for o in shares if _same(o, c))]
+        beside = max((k for k in tried if k < n), default=n), min((k for k in tried if k > n), default=n)
+        between = (float(np.trunc((k + n) / 2)) for k in beside)
+        out += [replace(c, numbers=(k,)) for k in between if k and (c.kind == "delay" or k > 1)]
     return [c for c in out if c not in shares]
 
 
 NOTHING = 1e-6
 """Share by which a scale changes nothing: no reading follows that column."""
-CLOSEST = 16
-"""Corrections that are tried, the best of those that were screened."""
+CLOSEST, NUMBERS = 4, 2
+"""Groups of columns of each kind that are looked at more closely, and corrections of each that are tried."""
 PART = 0.9
 """Share of what is left that a delay or a mean may leave to be looked at more closely."""
 
@@ -946,7 +1023,7 @@ def _in_runs(trials: Trials, base: Tried, odd: Sequence[int]) -> list[Found]:
             return None
         tried = cache(lambda c: trials.at((_of(c, runs),), p, runs))
         screen = _screen(trials, now, runs, free=False)
-        found = _best(trials, now, tried, lambda c: screen(_of(c, runs)), runs)
+        found = _best(trials, now, tried, screen, runs)
         after = found and trials.at((_of(found.correction, runs),), p, runs)
         if not found or not after:
             return None
