@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from hallsym.diagnosis.facts import facts_of
-from hallsym.diagnosis.refit import refit
 from hallsym.diagnosis.scores import Screen, candidates
 from hallsym.diagnosis.selection import refitted
 from hallsym.diagnosis.setup import Setup, prepare
@@ -51,14 +50,13 @@ def model_on(
 
 def _shown(setup: Setup, effect: Effect) -> Model:
     """The model of a fit with one effect, in the variant that explains most of its residual."""
-    runs, start = setup.runs, refit(setup.base, setup.runs)
-    base = start.base
+    base, runs = setup.base, setup.runs
     seen = survey(base, runs)
     facts = facts_of(base, seen)
     tried, trouble = candidates(base, [effect], facts)
     screen = Screen(base, tried, runs)
     screen.weigh(seen.autocorrelation, louder=seen.fast)
-    exact = refitted(start, screen, runs, lambda s: s.p_value < setup.policy.certain)
+    exact = refitted(base, screen, runs, lambda s: s.p_value < setup.policy.certain)
     if not exact:
         reason = trouble.get(effect.name, "nothing in the residual looks like it")
         raise InputError(

@@ -36,7 +36,7 @@ class Exact:
 
 
 def refitted(
-    at: Refitted,
+    base: Base,
     screen: Screen,
     runs: Sequence[int],
     worth: Callable[[Score], bool],
@@ -51,7 +51,7 @@ def refitted(
     `Policy.most_refits` effects are refitted, each from at most `Policy.starts` starts. Refits of the screen
     are reused.
     """
-    base, policy, scored = at.base, at.base.policy, screen.scores
+    policy, scored = base.policy, screen.scores
     # an effect goes by the best of its variants that are worth it: one with more numbers may be less certain
     named = [s for s in by_name(sorted(scored, key=lambda s: not worth(s))) if not s.absorbed]
     least = policy.half * max((s.gain for s in named if worth(s)), default=np.inf)
@@ -70,14 +70,14 @@ def refitted(
         best = next((e for e in possible if e.bic <= least_bic + NIL * e.fit.readings), None)
         if best is not None and stands(best):
             out.append(best)
-    return ordered(out, scored, at) if any(worth(e.score) for e in out) else []
+    return ordered(out, scored) if any(worth(e.score) for e in out) else []
 
 
 # -- the order ---------------------------------------------------------------------------------------------
 
 
-def ordered(exact: Sequence[Exact], scored: Sequence[Score], at: Refitted) -> list[Exact]:
-    """Order one or more exact refits by BIC; first a smaller effect that explains nearly as much of the gap.
+def ordered(exact: Sequence[Exact], scored: Sequence[Score]) -> list[Exact]:
+    """Order one or more exact refits by BIC; first a smaller effect if it explains nearly as much.
 
     Real machines have small imperfections of every kind. Many parameters absorb some of them, which with
     enough samples is significant but no evidence. The best effect stays first if it has a variant with as few
@@ -85,7 +85,7 @@ def ordered(exact: Sequence[Exact], scored: Sequence[Score], at: Refitted) -> li
     searched numbers goes first, then the one that is first in the catalogue.
     """
     best, *_ = exact = sorted(exact, key=lambda e: e.bic)
-    simpler = [e for e in exact[1:] if _simpler(e, best, scored, at)]
+    simpler = [e for e in exact[1:] if _simpler(e, best, scored)]
     if simpler:
         return _first(min(simpler, key=lambda e: (e.score.size, e.bic)), exact)
     same = [best, *(e for e in exact[1:] if _same(best, e))]
@@ -96,12 +96,12 @@ REFERENCE = "reference"
 """Link of the effects that say that the reference is wrong, and not the machine."""
 
 
-def _simpler(e: Exact, best: Exact, scored: Sequence[Score], at: Refitted) -> bool:
+def _simpler(e: Exact, best: Exact, scored: Sequence[Score]) -> bool:
     policy = best.fit.base.policy
-    explained, most = (at.metric**2 - one.fit.metric**2 for one in (e, best))
     return (
         e.score.size < best.score.size
-        and explained >= (1 - policy.negligible) * most
+        and e.bic - best.bic <= policy.negligible * best.score.gain
+        and e.fit.metric <= best.fit.metric * (1 + policy.negligible)
         and not any(
             s.effect is best.score.effect
             and s.size <= e.score.size
@@ -327,7 +327,7 @@ class Selection:
     def step(self, at: Refitted, worth: Callable[[Score], bool] = lambda _: True) -> list[Exact]:
         """Screen the catalogue at `at`; return exact refits, best first, if any effect is `worth` it."""
         screen, facts = self.screen(at)
-        exact = refitted(at, screen, self.runs, worth, lambda e: self.stands(e, at), self.over)
+        exact = refitted(at.base, screen, self.runs, worth, lambda e: self.stands(e, at), self.over)
         screen.refits.clear()  # their residuals are as large as the log
         if self.setup.base.model.family.pairs:
             exact = plain_pairs_first(exact, self.setup.catalogue, self.runs, facts, self.over)
