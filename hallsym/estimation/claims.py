@@ -23,7 +23,7 @@ from hallsym.estimation.factors import exact, program, summarise
 from hallsym.estimation.goodness_of_fit import noise_followed
 from hallsym.estimation.identifiable import determine
 from hallsym.estimation.likelihood import Cost, cost_near, cost_of
-from hallsym.estimation.optimum import CLOSELY, NEWTON, SETTLING, closed_form, linear_fit, optimum, refit
+from hallsym.estimation.optimum import NEWTON, SETTLING, closed_form, linear_fit, optimum, refit
 from hallsym.estimation.task import noise_of, silent
 from hallsym.families.recording import Correction, as_corrections, corrected_run, repeats, said, scales
 from hallsym.log import Log, Noise
@@ -45,6 +45,8 @@ FEW = 4_000
 """Readings of a model without run statistics, each pass over which costs as much as a fit of others."""
 READ = 400_000
 """Samples that are read at most: corrections are made at the full rate, before samples are picked."""
+CLOSELY = 1e-6
+"""Share of the cost within which a trial is fitted: less than chance makes of it."""
 STEPS_TRIED = 40
 """Newton steps of a trial: what needs more is far from right."""
 MOST_NOISE = 0.05
@@ -406,7 +408,7 @@ class Trials:
         if not exact(self.model):
             guess, noise = self.model.guess, noise_of(log, self.model).std
             begin = self.model.vector(guess(self.model, log)) if guess else self.model.nominal
-            state = optimum(log, self.model, noise, begin, (), None, silent, NEWTON, ROUNDS)
+            state = optimum(log, self.model, noise, begin, (), None, silent, NEWTON)
             return self.at(corrections, state.p, runs)
         summary = summarise(log, self.model)
         merged = cost_of(summary.merged(), log.noise.std)
@@ -475,8 +477,7 @@ class Tried:
         """
         if after is None or not after.left:
             return np.inf
-        few = sum(after.counts.values()) <= KEEPS * sum(self.counts.values())
-        if few and any(one.kind in STEPS for one in after.corrections):
+        if _too_few(after.corrections, sum(after.counts.values()), sum(self.counts.values())):
             return np.inf
         return after.mean(after.left) / max(self.mean(self.left), 1e-300)
 
@@ -528,6 +529,11 @@ class Tried:
         some = [r for r in of if runs is None or r in runs]
         weights = np.array([self.counts[r] for r in some])
         return float(weights @ np.array([of[r] for r in some]) / max(weights.sum(), 1.0))
+
+
+def _too_few(corrections: Sequence[Correction], kept: float, of: float) -> bool:
+    """Return whether delays or means keep few of so many samples."""
+    return kept <= KEEPS * of and any(one.kind in STEPS for one in corrections)
 
 
 Screen = Callable[[Sequence[Correction]], Mapping[Correction, float]]
@@ -612,7 +618,7 @@ def _on_tangents(trials: Trials, p: np.ndarray, runs: Sequence[int], *, free: bo
         for c in many:
             with suppress(InputError, np.linalg.LinAlgError):
                 data, noise = trials.samples((c if free else _of(c, runs),), runs)
-                if c.kind not in STEPS or len(data[RUN]) > KEEPS * samples:  # as `Tried.rest`
+                if not _too_few((c,), len(data[RUN]), samples):
                     found.append((c, data, whitening(noise)))
         for some in (found[n : n + size] for n in range(0, len(found), size)):
             shares = left([(data, whiten) for _, data, whiten in some]) / max(usual, 1e-300)
@@ -637,8 +643,7 @@ ALONE = 3.0
 FEWEST = 4
 """Runs from which on some can be judged by the others."""
 ROUNDS = 8
-"""Of finding the runs that agree, of finding the size of a step, and passes of a trial, at most: what is
-right takes 3 to 6."""
+"""Of finding the runs that agree, and of finding the size of a step, at most."""
 SETTLED = 1e-3
 """Part of a size by which a round may still change it."""
 RIVAL = 20.0

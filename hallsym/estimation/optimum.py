@@ -94,8 +94,6 @@ SOLVERS = ("hybrid", "direct", *solvers.EXPLORERS)
 """hybrid is SHTLBO and closed form; direct leaves the global search out; the others replace SHTLBO."""
 NEWTON = "newton"
 """As direct, without IPOPT: for trials, whose hypotheses are mostly wrong and may have no optimum."""
-CLOSELY = 1e-6
-"""Share of the cost within which a trial is fitted: less than chance makes of it."""
 BUDGET, SIZE, KEEP = 4040, 40, 3
 """Evaluations and population of the global search; number of its points that are refined."""
 WARM: dict[str, Any] = {"mu_init": 1e-9, "bound_push": 1e-9, "bound_frac": 1e-9}
@@ -197,8 +195,7 @@ def search(
         first = scaled.from_unit(explored.x)
     exact = scaled.problem(fitted)
     endings: list[solvers.Result] = [explored] if explored else []
-    tolerance = CLOSELY if solver == NEWTON else ROUNDING
-    endings.append(ended := solvers.newton(exact, scaled.to_unit(first), tolerance=tolerance))
+    endings.append(ended := solvers.newton(exact, scaled.to_unit(first), tolerance=ROUNDING))
     if ended.status != "converged" and solver != NEWTON:
         endings.append(ended := solvers.ipopt(exact, scaled.to_unit(first), **WARM))
     status = "interrupted" if any(s.status == "interrupted" for s in endings) else ended.status
@@ -397,12 +394,8 @@ def optimum(
     weigh: Weigh | None,
     say: Callable[[str], None],
     solver: str = "direct",
-    most: int = PASSES,
 ) -> Solution:
-    """Minimise the cost of the fitted runs, from `start` (n,), inside the bounds, in `most` passes at most.
-
-    `solver`: of tangents.
-    """
+    """Minimise the cost of the fitted runs, from `start` (n,), inside the bounds; `solver`: of tangents."""
     number, evaluations, before = count(1), 0, None
 
     def linearise(at: tuple[np.ndarray, Offsets]) -> _Pass:
@@ -419,7 +412,7 @@ def optimum(
 
     first = np.clip(np.asarray(start, dtype=float), *model.bounds)
     offsets = offsets_of(cost_near(log, model, first, noise, weigh, SETTLING), first) if model.offsets else {}
-    best, outcome = solvers.gauss_newton(linearise, (first, offsets), converged, most)
+    best, outcome = solvers.gauss_newton(linearise, (first, offsets), converged, PASSES)
     found = replace(best.target, evaluations=evaluations)
     if outcome != "converged":
         passes = next(number) - 1

@@ -18,7 +18,6 @@ from hallsym.errors import InputError
 from hallsym.families import FAMILIES, build, default_model, family_called
 from hallsym.log import Meta
 from hallsym.log.columns import RUN_WORDS, TIME_WORDS, UNNAMED, WORDS, limit_of, numbers_runs, unit_of
-from hallsym.log.pace import sizes_in
 from hallsym.log.table import SHOWN_ROWS, Source
 from hallsym.model import Model
 from hallsym.output import printable, toml_text
@@ -63,8 +62,9 @@ def words_of(name: str, *, unit: bool = False) -> frozenset[str]:
     (['ref', 'x'], ['a', 'reading'], ['rz'])
     """
     plain = normalize("NFC", re.sub("[\u0300-\u036f]", "", normalize("NFKD", name)))  # without accents
-    odd = WORDS.findall(_odd(plain).lower())  # a unit that nobody knows tells nothing
-    plain = plain[: -len(odd[0]) - 2] if len(odd) == 1 < len(odd[0]) and odd[0] not in _WORDS else plain
+    odd = WORDS.findall((behind := _odd(plain)).lower())
+    if len(odd) == 1 < len(odd[0]) and odd[0] not in _WORDS:  # a unit that nobody knows tells nothing
+        plain = plain[: -len(behind) - 2]
     found = [word for part in WORDS.findall(plain) for word in _apart(part.lower())]
     if unit and len(found) > 1 and found[-1] in UNITS and len(found[-1]) > 1:
         found = found[:-1]
@@ -79,6 +79,27 @@ def _odd(name: str) -> str:
     """Return what stands in brackets behind a name, where a unit would stand."""
     behind = re.search(r".[(\[{<](.*\D.*)[)\]}>]$", name)
     return behind[1] if behind else ""
+
+
+_NUMBER = r"(?P<size>\d+[.,]?\d*(?:[eE][-+]?\d+)?) ?(?P<unit>[^\W\d]+)"
+_SIZES = (
+    re.compile(rf"\b1 ?(?P<per>[^\W\d]+) ?= ?{_NUMBER}"),
+    re.compile(rf"{_NUMBER} ?(?:/|per) ?(?P<per>[^\W\d]+)"),
+)
+
+
+def _sizes_in(facts: Mapping[str, str]) -> list[tuple[float, str, str]]:
+    """Return what lines of a header state of counts and fringes: a number, its unit, of which one.
+
+    >>> _sizes_in({"ADC": "16 bit, 1 LSB = 76.3 uV", "Laser": "158.2 nm/fringe"})
+    [(76.3, 'uv', 'count'), (158.2, 'nm', 'fringe')]
+    """
+    found = [m for fact in facts.items() for form in _SIZES if (m := form.search(" = ".join(fact)))]
+    return [
+        (float(m["size"].replace(",", ".")), unit, unit_of(m["per"]) or m["per"].lower().rstrip("s"))
+        for m in found
+        if (unit := unit_of(m["unit"]))
+    ]
 
 
 def _apart(word: str) -> tuple[str, ...]:
@@ -550,7 +571,7 @@ def _with_unit(
     whole = guess.stem in _stems(model) and _whole(values) and np.ptp(values) >= COUNTED
     if odd or (whole and stated in ("", "count")):
         each = unit_of(odd or "counts") or odd.lower().rstrip("s")
-        sizes = {s[:2] for s in sizes_in(source.facts) if UNITS[s[1]].si in kinds and s[2] == each}
+        sizes = {s[:2] for s in _sizes_in(source.facts) if UNITS[s[1]].si in kinds and s[2] == each}
         for size, unit in sizes if len(sizes) == 1 else ():
             said = f"{guess.why}; the file states {size:g} {unit} per {each}"
             return replace(guess, units=(unit,), scale=size, why=said)

@@ -55,27 +55,6 @@ def pace_in(facts: Mapping[str, Any]) -> Pace | None:
     return Pace(step, start, moment) if step else None
 
 
-_NUMBER = r"(?P<size>\d+[.,]?\d*(?:[eE][-+]?\d+)?) ?(?P<unit>[^\W\d]+)"
-_SIZES = (
-    re.compile(rf"\b1 ?(?P<per>[^\W\d]+) ?= ?{_NUMBER}"),
-    re.compile(rf"{_NUMBER} ?(?:/|per) ?(?P<per>[^\W\d]+)"),
-)
-
-
-def sizes_in(facts: Mapping[str, str]) -> list[tuple[float, str, str]]:
-    """Return what lines of a header state of counts and fringes: a number, its unit, of which one.
-
-    >>> sizes_in({"ADC": "16 bit, 1 LSB = 76.3 uV", "Laser": "158.2 nm/fringe"})
-    [(76.3, 'uv', 'count'), (158.2, 'nm', 'fringe')]
-    """
-    found = [m for fact in facts.items() for form in _SIZES if (m := form.search(" = ".join(fact)))]
-    return [
-        (float(m["size"].replace(",", ".")), unit, unit_of(m["per"]) or m["per"].lower().rstrip("s"))
-        for m in found
-        if (unit := unit_of(m["unit"]))
-    ]
-
-
 def _number(value: Any, unit: str) -> float | None:
     """Return the number of a fact in SI; its unit may stand behind it."""
     value = value.ravel()[0] if isinstance(value, np.ndarray) and value.size == 1 else value

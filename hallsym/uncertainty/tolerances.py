@@ -200,12 +200,12 @@ def tolerances(
     """Return the sensitivity of the nominal decoder's errors to each tolerance of the machine.
 
     Machines are drawn with every parameter independent in its tolerance; each is read by a decoder that uses
-    the nominal values, without calibration, noise or zero deviations. `where`: campaign or
-    workspace over which errors count (default: the example of the
-    model's family, the paper's campaign of a stage). `ranges`: see `given_tolerances`;
-    default: nominal value +- half the width of the model's bounds. `samples`: base samples of Saltelli's
-    design, a power of two; 2 n + 2 times as many machines are drawn for n tolerances. None: as many as make
-    every interval sharp, at most `USUAL_SAMPLES`. The same seed gives the same numbers.
+    the nominal values, without calibration, noise or zero deviations. `where`: campaign or workspace over
+    which errors count (default: the example of the model's family, else the paper's campaign).
+    `ranges`: see `given_tolerances`; default: nominal value +- half the width of the model's bounds.
+    `samples`: base samples of Saltelli's design, a power of two; 2 n + 2 times as many machines are drawn for
+    n tolerances. None: as many as make every interval sharp, at most `USUAL_SAMPLES`. The same seed gives the
+    same numbers.
 
     Raises `InputError` for an unknown parameter or unit and a tolerance that is not positive.
     """
