@@ -85,7 +85,7 @@ def shared_noise(
     `autocorrelation`: of the residual at lags 0, 1, ... Nothing where no reference has noise.
     """
     work = Columns(base, candidates, t.graph)
-    out, own, column = np.zeros((len(t.runs), work.n + work.count)), work.z + work.n, work.column
+    out = np.zeros((len(t.runs), work.n + work.count))
     logged = (c for c in (*base.model.references, *base.model.state) if c in base.log.columns)
     sizes = {c: s for c in logged if (s := base.sigma.get(c, 0.0)) > 0}
     if not sizes or not work.count:
@@ -106,16 +106,14 @@ def shared_noise(
         for (moved, at), (still, _) in zip(*(b.pieces(most) for b in thinned), strict=True):
             n, data = len(moved), {c: np.append(v, still.data[c]) for c, v in moved.data.items()}
             both = Batch(moved.runs * 2, data, (*moved.edges, *(n + edge for edge in still.edges[1:])))
-            columns = work.columns(both, None if part is None else np.tile(part[at], 2))
-            near, rows = (values[..., :n] - values[..., n:] for values in columns)
-            change = work.precision @ near[-1]
-            products = np.zeros((work.n + work.count, n))
-            products[: work.n] = np.einsum("cks,ks->cs", near[work.z : own], change)
+            rows = work.rows(both, None if part is None else np.tile(part[at], 2))
+            rows = rows[:, :n] - rows[:, n:]
+            products, change = np.zeros((work.size, n)), work.precision @ rows[work.residual]
             for k, of in enumerate(work.of_channel):  # a column has one row a channel
-                products[work.n + column[of]] += rows[of] * change[k]
+                products[work.column[of]] += rows[work.row[of]] * change[k]
             here = np.maximum([low - at.start, np.maximum(high, low + 1) - at.start], 0)
             for key, begin, end, scale in zip(keys, *here, scales, strict=True):
-                out[t.unit_of[key]] += scale * products[:, begin:end].sum(axis=1)
+                out[t.unit_of[key]] += scale * products[work.z : -1, begin:end].sum(axis=1)
     return out
 
 

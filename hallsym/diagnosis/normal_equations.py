@@ -160,45 +160,49 @@ def entries(slope: ca.SX) -> np.ndarray:
 
 
 class Graph(NamedTuple):
-    """Compiled columns: `run(p, offsets, pose, state)` returns the readings and two sets of slopes.
+    """Compiled slopes: `run(p, offsets, pose, state)` returns them in one array, channel by channel.
 
-    `state`: the columns that it reads. `near`: channel and column of the slopes by offsets and parameters,
-    (2, rows), `far`: of those by candidates, channel by channel.
+    `state`: the columns that it reads. `entries`: channel, column and row of each slope, (3, entries), by
+    channel; columns are [offsets | parameters | candidates | reading], and equal slopes of one channel
+    are one row. `first`: row at which each channel begins, and the number of rows.
     """
 
     run: Callable[..., list[np.ndarray]]
     state: tuple[str, ...]
-    near: np.ndarray
-    far: np.ndarray
+    entries: np.ndarray
+    first: np.ndarray
 
 
 def _graph(model: Model, free: Sequence[int], candidates: Sequence[tuple[Model, Sequence[str]]]) -> Graph:
-    """Compile the readings of a model and all slopes; common subexpressions are computed once."""
+    """Compile the readings of a model and all slopes; common subexpressions are computed once.
+
+    Channel by channel: few values are needed at once.
+    """
     s = model.symbols
     reading = s.full(s.reading)
     own = jacobian(reading, ca.vertcat(s.offsets, s.parameters[list(free)]))
-    each, starts = slopes_of(model, candidates), np.cumsum([0, *(len(new) for _, new in candidates)])
-    places = (
-        entries(slope) + np.outer([0, 1], start) for slope, start in zip(each, starts[:-1], strict=True)
-    )
-    far = np.concatenate([np.zeros((2, 0), dtype=int), *places], axis=1)
-    order = np.lexsort(far[::-1])
-    rows = [ca.vec(slope.nz[:]) for slope in each if slope.nnz()]
+    parts = [own, *slopes_of(model, candidates), ca.densify(reading)]
+    starts = np.cumsum([0, *(part.shape[1] for part in parts)])
+    places = [entries(part) + np.outer([0, 1], start) for part, start in zip(parts, starts[:-1], strict=True)]
+    channel, column = np.concatenate(places, axis=1)
+    slopes = ca.cse(ca.vertcat(*(ca.vec(part.nz[:]) for part in parts if part.nnz())))
+    hashes = [slope.element_hash() for slope in ca.vertsplit(slopes)]
+    order, rows = np.lexsort((column, channel)), dict[tuple[int, int, bool], int]()
+    residual = column == starts[-2]  # a reading is the slope by its gain as well, a residual is not
+    row = [rows.setdefault((channel[k], hashes[k], residual[k]), len(rows)) for k in order]
+    chosen = order[np.unique(row, return_index=True)[1]]
     state = {
         symbol.element_hash(): (name, symbol)
         for one in (model, *(wide for wide, _ in candidates))
         for name, symbol in zip(one.state, ca.vertsplit(one.symbols_of("column", one.state)), strict=True)
     }
     inputs = [s.parameters, s.offsets, s.pose, ca.vertcat(*(symbol for _, symbol in state.values()))]
-    outputs = [
-        reading,
-        ca.vec(own.nz[:]) if own.nnz() else ca.SX(0, 1),
-        ca.cse(ca.vertcat(*rows)[order.tolist()]) if rows else ca.SX(0, 1),
-    ]
-    run = on_arrays(ca.Function("columns", inputs, [ca.densify(one) for one in outputs]))
+    run = on_arrays(ca.Function("slopes", inputs, [ca.densify(slopes[chosen.tolist()])]))
     for wide, _ in candidates:
         wide.forget()  # few are fitted, and all are remembered
-    return Graph(run, tuple(name for name, _ in state.values()), entries(own), far[:, order])
+    known = np.array([channel[order], column[order], row])
+    first = np.searchsorted(channel[chosen], range(len(model.channels) + 1))
+    return Graph(run, tuple(name for name, _ in state.values()), known, first)
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,7 +280,8 @@ def normal_equations(
     seen: dict[int, int] = {}
     for whole, weights in work.weighed():
         batch, keys = stretches(whole, seen, length)
-        near, rows = work.columns(batch, weights)
+        rows = work.rows(batch, weights)
+        near = work.dense(rows)
         D = work.to_pose(batch) if decoded else np.zeros((0, near.shape[1], len(batch)))
         weight = np.diff(batch.edges) if weights is None else np.add.reduceat(weights, batch.edges[:-1])
         products = max(len(near) * work.size, work.pairs.shape[1])
@@ -409,11 +414,11 @@ class Columns:
 
     `z`, `n`: offsets and parameters. `near`: where offsets, parameters and residual lie among all `size`
     columns. `span`, `places`: as in `NormalEquations`. `pairs`: the columns, offsets not counted, of each
-    product within a candidate. `channel`, `column`: (rows,) of each row of the `count` columns of candidates,
-    rows of one channel together at `of_channel`. `own`: the rows (r,) of each candidate, column by column,
-    which begin at `ends`. `touched`: columns of `near` with the channels that they touch, `touching`: those
-    of each channel. `most`: samples whose columns are in memory at once. `spoiled`: candidates that were not
-    finite somewhere; their rows are 0 there.
+    product within a candidate. `channel`, `column`, `row`: of each slope, those of one channel together at
+    `of_channel`, their rows at `rows_of`; `residual`: (K,) rows of the residual. `own`: the slopes (r,) of
+    each candidate, column by column. `touched`: columns of `near` with the channels that they touch. `most`:
+    samples whose columns are in memory at once. `spoiled`: candidates that were not finite somewhere; such
+    rows are 0 there.
     """
 
     def __init__(
@@ -442,22 +447,25 @@ class Columns:
             np.indices((k, k)).reshape(2, -1) + self.span[c].start for c, k in zip(tried, widths, strict=True)
         ]
         self.pairs = np.concatenate([np.zeros((2, 0), dtype=int), *pairs], axis=1)
-        self.channel, self.column = self.graph.far
-        self.owner = np.searchsorted(ends, self.column, side="right") - 1
+        self.channel, self.column, self.row = self.graph.entries
+        self.owner = np.searchsorted(own + ends, self.column, side="right") - 1
+        self.residual = self.row[self.column == self.size - 1]
         limits = np.searchsorted(self.channel, range(len(model.channels) + 1)).tolist()
         self.of_channel = [slice(*pair) for pair in pairwise(limits)]
+        self.rows_of = [slice(*pair) for pair in pairwise(self.graph.first.tolist())]
         by_column = np.argsort(self.column, kind="stable")
         self.own = [by_column[self.owner[by_column] == k] for k in range(len(tried))]
         self.spoiled: set[str] = set()
-        self.most = max(FEWEST, ENTRIES // max(len(self.near) * len(model.channels), len(self.column)))
+        self.most = max(FEWEST, ENTRIES // max(len(self.near) * len(model.channels), self.graph.first[-1]))
         self.precision = np.linalg.inv(base.covariance)
         self.whiten = np.linalg.cholesky(self.precision).T
+        self.within = np.isin(self.column, self.near)
+        self.place = np.minimum(self.column[self.within], own)
         touched = np.zeros((own + 1, len(self.precision)), dtype=bool)
-        touched[self.graph.near[1], self.graph.near[0]] = touched[-1] = True
+        touched[self.place, self.channel[self.within]] = True
         alike, inverse = np.unique(touched, axis=0, return_inverse=True)
         groups = ((np.flatnonzero(inverse.ravel() == k), channels) for k, channels in enumerate(alike))
         self.touched = [(which, np.flatnonzero(channels)) for which, channels in groups]
-        self.touching = [np.flatnonzero(columns) for columns in touched.T]
 
     def batches(self, log: Log) -> Iterator[Batch]:
         """Yield a log in batches with all columns that the models read."""
@@ -474,23 +482,26 @@ class Columns:
             for piece, at in batch.pieces(self.most):
                 yield piece, None if weights is None else weights[at]
 
-    def columns(self, batch: Batch, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Return the columns of offsets, parameters and residual, (own + 1, K, samples), and the rows of the
-        candidates, (rows, samples), times the root of the weights."""
+    def rows(self, batch: Batch, weights: np.ndarray | None) -> np.ndarray:
+        """Return the slopes and the residual, (rows, samples), times the root of the weights."""
         base, model, graph = self.base, self.base.model, self.graph
         pose, state = batch.columns(model.references), batch.columns(graph.state)
-        reading, slopes, rows = graph.run(base.p, base.offsets_of(batch), pose, state)
-        A = np.zeros((self.z + self.n + 1, len(model.channels), len(batch)))
-        A[graph.near[1], graph.near[0]] = slopes
-        A[-1] = np.array(batch.columns(model.channels)) - reading
-        spoiled = np.unique(self.owner[~np.isfinite(rows).all(axis=1)])
-        if len(spoiled):
-            self.spoiled |= {list(self.places)[k] for k in spoiled}
-            rows[np.isin(self.owner, spoiled)] = 0.0
+        (rows,) = graph.run(base.p, base.offsets_of(batch), pose, state)
+        rows[self.residual] = np.array(batch.columns(model.channels)) - rows[self.residual]
+        spoiled = (self.owner >= 0) & (self.owner < len(self.own))
+        spoiled[spoiled] = ~np.isfinite(rows).all(axis=1)[self.row[spoiled]]
+        if spoiled.any():
+            self.spoiled |= {list(self.places)[k] for k in self.owner[spoiled]}
+            rows[self.row[spoiled]] = 0.0
         if weights is not None:
-            A *= np.sqrt(weights)
             rows *= np.sqrt(weights)
-        return A, rows
+        return rows
+
+    def dense(self, rows: np.ndarray) -> np.ndarray:
+        """Return the columns of offsets, parameters and residual, (own + 1, K, samples)."""
+        out = np.zeros((len(self.near), len(self.precision), rows.shape[1]))
+        out[self.place, self.channel[self.within]] = rows[self.row[self.within]]
+        return out
 
     def to_pose(self, batch: Batch) -> np.ndarray:
         """Return d pose / d reading, rotation as length: (pose, K, samples)."""
@@ -508,7 +519,7 @@ def stacked_products(
     """Return products under the precision of `work`, and mapped to the pose by D; where D is empty no others.
 
     `work`: the `Columns`. `near`: (own, K, blocks, samples) of offsets, parameters and residual, `rows`:
-    (rows, blocks, samples) of the candidates, `D`: (n_pose, K, blocks, samples).
+    (rows, blocks, samples) of all, `D`: (n_pose, K, blocks, samples).
     """
     blocks = near.shape[2]
     shapes = (blocks, len(work.near), work.size), (blocks, work.pairs.shape[1])
@@ -517,6 +528,8 @@ def stacked_products(
     for low in range(0, near.shape[3], step):
         at = (..., slice(low, low + step))
         _add_products(work, near[at], rows[at], D[at], out)
+    own = out[0].border[:, :, work.near]
+    out[0].border[:, :, work.near] = 0.5 * (own + own.swapaxes(1, 2))
     return out
 
 
@@ -524,20 +537,14 @@ def _add_products(
     work: Columns, near: np.ndarray, rows: np.ndarray, D: np.ndarray, out: tuple[Products, Products]
 ) -> None:
     """Add the products of some samples of each block."""
-    first, decoded, metric = work.z + work.n, _decoded(work, D, near), _weighted(work, near)
-    gram = np.zeros((near.shape[2], len(near), len(near)))
-    for k, at in enumerate(work.touching):
-        gram[:, at] += near[at, k].swapaxes(0, 1) @ metric[:, k].transpose(1, 2, 0)
-    out[0].border[:, :, work.near] += 0.5 * (gram + gram.swapaxes(1, 2))
-    out[1].border[:, :, work.near] += _gram(decoded)
-    if not len(rows):
-        return
-    for k, here in enumerate(work.of_channel):
+    decoded, metric = _decoded(work, D, near), _weighted(work, near)
+    for k, (at, here) in enumerate(zip(work.of_channel, work.rows_of, strict=True)):
         across = metric[:, k].swapaxes(0, 1) @ rows[here].transpose(1, 2, 0)
-        out[0].border[:, :, first + work.column[here]] += across
+        out[0].border[:, :, work.column[at]] += across[:, :, work.row[at] - here.start]
+    out[1].border[:, :, work.near] += _gram(decoded)
     for key, at in zip(work.places, work.own, strict=True):
         if len(at):
-            _add_own(work, key, rows[at], D, decoded, out)
+            _add_own(work, key, rows[work.row[at]], D, decoded, out)
 
 
 def _decoded(work: Columns, D: np.ndarray, near: np.ndarray) -> np.ndarray:
@@ -573,7 +580,7 @@ def _add_own(
     white, inner = (M.inner[:, work.places[key]].reshape(-1, width, width) for M in out)
     stack, channel, K = rows.swapaxes(0, 1), work.channel[at], len(work.whiten)
     first = np.flatnonzero(np.diff(work.column[at], prepend=-1))
-    place = work.column[at][first] + work.n - span.start
+    place = work.column[at][first] - work.z - span.start
     block, k = np.ix_(place, place), len(first)
 
     def by_column(values: np.ndarray, axis: int = 1) -> np.ndarray:

@@ -139,12 +139,12 @@ class Refitted:
         return np.asarray(within @ full @ within.T), dof
 
     def _pieces(self) -> Iterator[tuple[Batch, np.ndarray]]:
-        """Yield the fitted runs in pieces, with the whitened columns of each, see `Columns.columns`."""
+        """Yield the fitted runs in pieces, with the whitened columns of each, see `Columns.dense`."""
         work, fitted = Columns(self.base), {run for unit in self.fitted for run in self.tangents.runs[unit]}
         for batch, weights in work.weighed():
             used = np.repeat(np.isin(batch.runs, [*fitted]), np.diff(batch.edges))
             if used.any():
-                columns = work.columns(batch, weights)[0][..., used]
+                columns = work.dense(work.rows(batch, weights)[:, used])
                 yield batch.of_runs(fitted), work.whiten @ columns
 
     def values(self) -> np.ndarray:

@@ -20,10 +20,9 @@ from hallsym.simulation import campaign_from
 
 def whitened(work: Columns, batch: Batch, weights: np.ndarray | None) -> np.ndarray:
     """All columns [zeros | parameters | candidates | residual], whitened, (c, K, samples)."""
-    near, rows = work.columns(batch, weights)
-    A = np.zeros((work.size, *near.shape[1:]))
-    A[work.near] = near
-    A[work.z + work.n + work.column, work.channel] = rows
+    rows = work.rows(batch, weights)
+    A = np.zeros((work.size, len(work.whiten), rows.shape[1]))
+    A[work.column, work.channel] = rows[work.row]
     return work.whiten @ A
 
 
