@@ -25,16 +25,6 @@ from hallsym.estimation.optimum import SOLVERS, refit
 from hallsym.estimation.without_reference import SelfFit, fit_without_reference
 
 __all__ = [
-    "LOSSES",
-    "SOLVERS",
-    "ErrorTable",
-    "Evaluation",
-    "Fit",
-    "SelfFit",
-    "calibration_schema",
-    "evaluate",
-    "fit",
-    "fit_without_reference",
-    "load_fit",
-    "refit",
-]
+    "LOSSES", "SOLVERS", "ErrorTable", "Evaluation", "Fit", "SelfFit", "calibration_schema", "evaluate",
+    "fit", "fit_without_reference", "load_fit", "refit",
+]  # fmt: skip

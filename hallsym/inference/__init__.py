@@ -27,19 +27,7 @@ from hallsym.inference.identifiability import (
 )
 
 __all__ = [
-    "FALSE_ALARM",
-    "VERDICTS",
-    "Belonging",
-    "Change",
-    "CombinationReport",
-    "Identifiability",
-    "NullDirection",
-    "NullSpace",
-    "Offsets",
-    "ParameterChange",
-    "ParameterReport",
-    "Verdict",
-    "belonging",
-    "check_false_alarm",
+    "FALSE_ALARM", "VERDICTS", "Belonging", "Change", "CombinationReport", "Identifiability", "NullDirection",
+    "NullSpace", "Offsets", "ParameterChange", "ParameterReport", "Verdict", "belonging", "check_false_alarm",
     "identify",
-]
+]  # fmt: skip

@@ -9,26 +9,7 @@ from hallsym.model.features import find_features
 from hallsym.model.model import LINKS, Combination, Gauge, Inspection, Model, Parameter, Signals, Step
 
 __all__ = [
-    "LINKS",
-    "Combination",
-    "Effect",
-    "Example",
-    "Facts",
-    "Family",
-    "Further",
-    "Gauge",
-    "Inspection",
-    "Model",
-    "Parameter",
-    "PoseMetric",
-    "Signals",
-    "Step",
-    "Variant",
-    "Way",
-    "effect",
-    "find_features",
-    "on_arrays",
-    "one_of",
-    "rate",
-    "ways_text",
-]
+    "LINKS", "Combination", "Effect", "Example", "Facts", "Family", "Further", "Gauge", "Inspection", "Model",
+    "Parameter", "PoseMetric", "Signals", "Step", "Variant", "Way", "effect", "find_features", "on_arrays",
+    "one_of", "rate", "ways_text",
+]  # fmt: skip

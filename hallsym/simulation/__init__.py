@@ -21,25 +21,8 @@ from hallsym.simulation.paper import (
 from hallsym.simulation.signals import Signal, multi_sine, sine, steps, triangle
 
 __all__ = [
-    "MOST_SAMPLES",
-    "Campaign",
-    "NoiseModel",
-    "Run",
-    "Signal",
-    "bundled_campaign",
-    "campaign_from",
-    "default_campaign",
-    "follow",
-    "is_the_papers",
-    "multi_sine",
-    "noise_table",
-    "paper_campaign",
-    "read_campaign",
-    "simulate",
-    "simulate_blocks",
-    "sine",
-    "steps",
-    "table8_noise",
-    "triangle",
+    "MOST_SAMPLES", "Campaign", "NoiseModel", "Run", "Signal", "bundled_campaign", "campaign_from",
+    "default_campaign", "follow", "is_the_papers", "multi_sine", "noise_table", "paper_campaign",
+    "read_campaign", "simulate", "simulate_blocks", "sine", "steps", "table8_noise", "triangle",
     "write_campaign",
-]
+]  # fmt: skip

@@ -20,24 +20,8 @@ from hallsym.uncertainty.position import (
 )
 
 __all__ = [
-    "Budget",
-    "Comparison",
-    "ErrorModel",
-    "Recorded",
-    "Settings",
-    "Source",
-    "UncertaintyMap",
-    "budget_monte_carlo",
-    "error_model",
-    "errors_along",
-    "map_axes",
-    "notes",
-    "over_log",
-    "position_budget",
-    "position_monte_carlo",
-    "read_budget",
-    "read_model_error",
-    "read_settings",
-    "uncertainty_map",
+    "Budget", "Comparison", "ErrorModel", "Recorded", "Settings", "Source", "UncertaintyMap",
+    "budget_monte_carlo", "error_model", "errors_along", "map_axes", "notes", "over_log", "position_budget",
+    "position_monte_carlo", "read_budget", "read_model_error", "read_settings", "uncertainty_map",
     "with_curve",
-]
+]  # fmt: skip
