@@ -36,7 +36,6 @@ from hallsym.codegen.decoupler import (
 )
 from hallsym.errors import counted
 from hallsym.model import Model
-from hallsym.model.arrays import on_arrays
 from hallsym.records import named
 
 FALSE_ALARMS = 1e-6
@@ -120,16 +119,13 @@ def left_over(
 def drawn_of(model: Model, p: np.ndarray, box: Box) -> Callable[[np.random.Generator, int], np.ndarray]:
     """Return random inputs (n_inputs, s) of poses and states within a box."""
     columns = (*model.pose, *model.state)
-    run = on_arrays(model.reading)
 
     def drawn(rng: np.random.Generator, count: int) -> np.ndarray:
         low, high = np.array([box.ends[c] for c in columns]).T
         share = rng.random((len(columns), count))
         share[:, : count // 20] = np.round(share[:, : count // 20])
-        at = list(low[:, None] + (high - low)[:, None] * share)
-        pose, state = at[: len(model.pose)], at[len(model.pose) :]
-        readings = run(p, np.zeros(len(model.offsets)), pose, state)[0]
-        return np.vstack([readings, *state]) if state else np.asarray(readings)
+        pose, state = np.split(low[:, None] + (high - low)[:, None] * share, [len(model.pose)])
+        return np.vstack([model.readings(p, pose, state), state])
 
     return drawn
 

@@ -148,7 +148,7 @@ def _raw(fit: Fit, model: Model, motor_steps: int | None, layout: Layout) -> tup
     That of a chip as logged, the arctangent of two voltages as logged, or the angle of Halls over a ring at
     nominal places with equal gains about their means over the turn; and these means, (channels,).
     """
-    found = np.asarray(on_arrays(model.reading)(fit.values, np.zeros(len(model.offsets)), [ANGLE], [])[0])
+    found = model.readings(fit.values, [ANGLE])
     assignment = fit.assignment or tuple((c, 1) for c in model.channels)
     logged = {source: sign * found[k] for k, (source, sign) in enumerate(assignment)}
     given, centres = np.array([logged[c] for c in model.channels]), found.mean(axis=1)

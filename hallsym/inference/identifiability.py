@@ -28,7 +28,7 @@ from hallsym.estimation.likelihood import Cost, cost_near
 from hallsym.inference.evidence import Evidence, from_fit, from_plan, visited
 from hallsym.inference.intervals import Interval, Intervals, intervals_of
 from hallsym.log import Log, as_log
-from hallsym.model import Model, on_arrays
+from hallsym.model import Model
 from hallsym.records import named, plain
 from hallsym.shown import Shown
 from hallsym.simulation import Campaign, table8_noise
@@ -286,7 +286,7 @@ def _cost(evidence: Evidence, model: Model, p: np.ndarray, columns: Mapping[str,
         dict(zip(cost.summary.runs, evidence.point.offsets, strict=True)),
     )
     own, pose, state = visited(poses, model, offsets, poses.rows, noise, model.named(p))
-    (read,) = on_arrays(model.reading)(p, own, pose, state)
+    read = model.readings(p, pose, state, own)
     log = Log.from_arrays({**columns, **dict(zip(model.channels, read, strict=True))})
     return replace(cost_near(log, model, p, noise), planned=cost.planned)
 

@@ -413,6 +413,16 @@ class Model:
         names = ["parameters", "offsets", "reading", "state", "weight"]
         return ca.Function("decoded", inputs, [pose], names, ["pose"])
 
+    def readings(
+        self, p: Columns, pose: Columns, state: Columns = (), offsets: Columns | None = None
+    ) -> np.ndarray:
+        """Return the readings (n_channels, samples) for arrays of samples, inputs as for `on_arrays`.
+
+        `offsets`: of the runs, 0 by default.
+        """
+        read = self.remember("readings", lambda: on_arrays(self.reading))
+        return read(p, np.zeros(len(self.offsets)) if offsets is None else offsets, pose, state)[0]
+
     def decode(
         self, p: Columns, offsets: Columns, reading: Columns, state: Columns, weight: Columns,
         near: Columns | None = None,

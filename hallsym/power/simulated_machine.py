@@ -22,7 +22,6 @@ from hallsym.families.faults import Recording
 from hallsym.log import Log, Noise, Sigma
 from hallsym.log.part import part_of
 from hallsym.model import Model
-from hallsym.model.arrays import on_arrays
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,11 +119,10 @@ def machine_of(base: Base, floor_m: float, stated: Collection[str] | None = None
 
 def readings_of(base: Base, model: Model, p: np.ndarray) -> np.ndarray:
     """Return the readings (K, rows) of `model`, an extension of the base's, with values `p`."""
-    run = on_arrays(model.reading)
     parts = []
     for batch in base.batches(model):
         pose, state = batch.columns(model.references), batch.columns(model.state)
-        parts.append(run(p, base.offsets_of(batch), pose, state)[0])
+        parts.append(model.readings(p, pose, state, base.offsets_of(batch)))
     return np.hstack(parts)
 
 

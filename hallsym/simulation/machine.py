@@ -8,7 +8,6 @@ import numpy as np
 from hallsym.errors import InputError, require
 from hallsym.families.cordic import MOST_STEPS, cordic_angle
 from hallsym.model import Model
-from hallsym.model.arrays import on_arrays
 from hallsym.model.derived import Stretch
 from hallsym.simulation.campaign import Campaign, Run
 
@@ -79,8 +78,7 @@ def simulate_blocks(
     _check_axes(model, campaign)
     p, rng = model.vector(values), np.random.default_rng(seed)
     disturb = _Disturbance(model, noise or NoiseModel(), campaign.step_s, rng)
-    read, made = on_arrays(model.reading), {c.name for c in model.computed}
-    start = 0.0
+    made, start = {c.name for c in model.computed}, 0.0
     for number, run in enumerate(campaign.runs):
         offsets = _offsets(model, p, run, campaign, rng)
         total = campaign.samples(run)
@@ -90,7 +88,7 @@ def simulate_blocks(
             logged = {c: run.position(c, t) for c in model.state if c not in made}
             known = {**dict(zip(model.references, pose, strict=True)), **logged, "t_s": start + t}
             state = logged | _computed(model, p, Stretch(number, known, start, 0.0, {}, {}))
-            (reading,) = read(p, offsets, pose, [state[c] for c in model.state])
+            reading = model.readings(p, pose, [state[c] for c in model.state], offsets)
             columns = dict(zip((*model.channels, *logged), (*reading, *logged.values()), strict=True))
             columns |= dict(zip(model.references, pose, strict=True))
             yield {

@@ -106,13 +106,12 @@ def decoding_errors(
     with the nominal values of `plain`. No noise and no zero deviations. `remedy`: what to do where a reading
     gives no pose.
     """
-    read, decode = on_arrays(model.reading), _decode(plain, decoder)
+    decode = _decode(plain, decoder)
     kept = [state[model.state.index(c)] for c in plain.state]
 
     def errors(machines: np.ndarray) -> np.ndarray:
         own = [column[:, None] for column in machines.T]
-        (reading,) = read(own, np.zeros(len(model.offsets)), pose, state)
-        found = decode(reading, kept)
+        found = decode(model.readings(own, pose, state), kept)
         if not np.isfinite(found).all():
             raise InputError(f"The decoder of {plain.name} finds no pose for some of the readings: {remedy}.")
         return near(plain, found, pose[:, None]) - pose[:, None]

@@ -393,8 +393,7 @@ def _reading(c: Candidate, model: Model, pose: np.ndarray, state: np.ndarray) ->
     """Readings (K, s) of a candidate; columns that only it reads are at rest."""
     known = dict(zip(model.state, state, strict=True))
     own = [known.get(n, np.full(pose.shape[1], c.model.rest[n])) for n in c.model.state]
-    (out,) = on_arrays(c.model.reading)(c.values, np.zeros(len(c.model.offsets)), list(pose), own)
-    return np.broadcast_to(out, (len(model.channels), pose.shape[1]))
+    return np.broadcast_to(c.model.readings(c.values, pose, own), (len(model.channels), pose.shape[1]))
 
 
 def _shaped(shape: Shape, fit: Fit, pose: np.ndarray, state: np.ndarray, slope: np.ndarray) -> np.ndarray:
@@ -407,8 +406,7 @@ def _shaped(shape: Shape, fit: Fit, pose: np.ndarray, state: np.ndarray, slope: 
 
     value, std = over(shape.value), over(shape.std)
     if shape.gain:
-        offsets = np.zeros(len(model.offsets))
-        (reading,) = on_arrays(model.reading)(fit.values, offsets, list(pose), list(state))
+        reading = model.readings(fit.values, pose, state)
         value, std = value * reading, std * reading
     error = np.einsum("spk,ks->sp", slope, value)
     return np.asarray(error**2 + np.einsum("spk,ks->sp", slope**2, std**2))

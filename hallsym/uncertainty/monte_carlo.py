@@ -244,9 +244,7 @@ def decoded_at_random(fit: Fit, at: Mapping[str, float], settings: Settings) -> 
     left = slopes(fit, pose[:, None], state[:, None], settings).left
     q0, s0 = zero_point(model, settings)
     still = np.zeros(len(model.offsets))
-    reading, first = (
-        np.asarray(model.reading(fit.values, still, *x)).ravel() for x in ((pose, state), (q0, s0))
-    )
+    reading, first = (model.readings(fit.values, *x) for x in ((pose, state), (q0, s0)))
     base = {
         "reading": reading, "state": state, "scale": np.zeros(len(pose)),
         "zero reading": first, "zero state": s0, "zero pose": q0,

@@ -92,10 +92,6 @@ class Arrays:
         return self.phasors(self.trials(2, 2000)[1])
 
     @cached_property
-    def _run(self) -> Callable[..., list[np.ndarray]]:
-        return on_arrays(self.model.reading)
-
-    @cached_property
     def _slopes(self) -> Callable[..., list[np.ndarray]]:
         """Poses -> d readings / d pose, column by column."""
         pose = ca.SX.sym("pose", len(self.middle))
@@ -104,7 +100,7 @@ class Arrays:
 
     def readings(self, pose: np.ndarray) -> np.ndarray:
         """Return readings (n, s) at poses (n_pose, s)."""
-        return np.asarray(self._run(self.p, np.zeros(len(self.model.offsets)), list(pose), [])[0])
+        return self.model.readings(self.p, pose)
 
     def poses(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Return random poses of the box, corners among them."""

@@ -8,7 +8,6 @@ harmonics of the magnet, an axis that is off, a rail): `hallsym.codegen.lowering
 of it.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import pi
@@ -20,7 +19,6 @@ from hallsym.codegen.intervals import Enclosure, enclose
 from hallsym.errors import InputError
 from hallsym.log.phase import wrapped
 from hallsym.model import Model
-from hallsym.model.arrays import on_arrays
 
 POINTS = 1024
 BRACKETS = 4096
@@ -67,12 +65,7 @@ class Curve:
 
     def readings(self, angle: np.ndarray) -> np.ndarray:
         """Return the model's readings (n_channels, s) at angles (s,), of which 2 pi are a period."""
-        offsets = np.zeros(len(self.model.offsets))
-        return np.asarray(self._run(self.p, offsets, [np.asarray(angle, dtype=float) * self.share], [])[0])
-
-    @cached_property
-    def _run(self) -> Callable[..., list[np.ndarray]]:
-        return on_arrays(self.model.reading)
+        return self.model.readings(self.p, [np.asarray(angle, dtype=float) * self.share])
 
     @cached_property
     def turn(self) -> np.ndarray:

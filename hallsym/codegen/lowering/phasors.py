@@ -161,7 +161,7 @@ class Sample:
         self, model: Model, p: np.ndarray, middle: np.ndarray, ends: tuple[float, float], height: int = 2
     ) -> None:
         self.model, self.height, self.at = model, height, np.array(middle, dtype=float)
-        self.p, self.run = np.asarray(p, dtype=float), on_arrays(model.reading)
+        self.p = np.asarray(p, dtype=float)
         self.middle, self.half = (ends[0] + ends[1]) / 2, (ends[1] - ends[0]) / 2
         self.z = np.linspace(*ends, HEIGHTS)
         self.known: dict[int, float] = {}
@@ -175,8 +175,7 @@ class Sample:
 
     def readings(self, axis: int, x: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Return readings (n_channels, s) there."""
-        pose = list(self.poses(axis, x, z))
-        return np.asarray(self.run(self.p, np.zeros(len(self.model.offsets)), pose, [])[0])
+        return self.model.readings(self.p, self.poses(axis, x, z))
 
     def swings(self, axis: int, x: np.ndarray) -> np.ndarray:
         """Return by how much each channel varies over places at each height, (n_channels, HEIGHTS)."""

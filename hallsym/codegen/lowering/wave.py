@@ -31,7 +31,6 @@ from hallsym.codegen.lowering.remainders import Seen, contradictions
 from hallsym.codegen.lowering.wave_steps import Pair, Wave
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
-from hallsym.model.arrays import on_arrays
 from hallsym.records import named
 
 ENOUGH = 6e-7
@@ -156,21 +155,18 @@ class _Assembly:
             return {}
         low, high = np.array([self.given.ends[c] for c in model.pose]).T[..., None]
         at = low + (high - low) * np.random.default_rng(13).random((len(low), TRIALS))
-        off = self._exact(self._read(at)) - at
+        off = self._exact(self.model.readings(self.p, at)) - at
         k, whole = model.pose.index(self.along), 2 * pi * found.lc
         off[k] -= whole * np.round(off[k] / whole)
         own = found.lc * self.wave.error + ROUNDED
         return named(model.pose, wave_steps.SAFE * np.abs(off).max(axis=1) + own)
-
-    def _read(self, at: np.ndarray) -> np.ndarray:
-        return np.asarray(on_arrays(self.model.reading)(self.p, [], list(at), [])[0])
 
     def _listed(self) -> tuple[tuple[float, ...], ...]:
         """No field, the seams of the quadrants and of the period, and both ends of the heights."""
         found = self.wave.phasor
         place = np.append(np.arange(-4, 5) * pi / 4, [0.1, 0.1]) * found.lc
         height = np.append(np.full(9, found.middle), self.given.ends[self.height])
-        seen = self._read(np.array([place if c == self.along else height for c in self.model.pose]))
+        seen = self.model.readings(self.p, [place if c == self.along else height for c in self.model.pose])
         return tuple(map(tuple, [found.offset.tolist(), *seen.T.tolist()]))
 
     def _said(self) -> tuple[str, ...]:

@@ -34,7 +34,7 @@ from hallsym.families.halbach.layout import (
 )
 from hallsym.families.halbach.models import FAR, WAVELENGTH_M, travel, with_ends
 from hallsym.log import Meta
-from hallsym.model import Family, Model, Parameter, Signals, on_arrays
+from hallsym.model import Family, Model, Parameter, Signals
 
 FAMILY = Family("halbach_planar")
 """Of this model; the package puts the whole record here."""
@@ -338,9 +338,7 @@ def guess(model: Model, log: Any) -> dict[str, float]:
     pose = [log.array(c)[rows] for c in model.references]
     wide = {"a1": 1.0} | dict.fromkeys(("x0", "y0", "rx0", "ry0", "rz0"), 0.0)
     quarter = {a.axis: a.wavelength_m / 4 for a in arrays(layout).values()}
-    read = model.remember("reading, on arrays", lambda: on_arrays(model.reading))
     state = np.zeros((len(model.state), len(rows)))
-    offsets = np.zeros((len(model.offsets), len(rows)))
     found: dict[str, float] = {}
     size = []
     for axis, shift in quarter.items():
@@ -348,8 +346,7 @@ def guess(model: Model, log: Any) -> dict[str, float]:
         v = np.array([log.array(model.channels[k])[rows] for k in own])
         name = f"{'xy'[axis]}0"
         both = [
-            read(model.vector({**wide, name: by}), offsets, pose, state)[0][own].ravel()
-            for by in (0.0, shift)
+            model.readings(model.vector({**wide, name: by}), pose, state)[own].ravel() for by in (0.0, shift)
         ]
         if not np.isfinite(both).all():
             where = ", ".join(model.references)
