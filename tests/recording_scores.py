@@ -21,7 +21,6 @@ from recordings import HEALTHY, Mistaken, Recording, Size, healthy, kept, mean_o
 import hallsym
 from hallsym.cli.fit import exit_code
 from hallsym.errors import InputError
-from hallsym.model import on_arrays
 from hallsym.units import UNITS
 
 HARMED = 3.0
@@ -179,7 +178,6 @@ def decoded_errors(fit, r: Recording, arrays) -> np.ndarray:
     thin = slice(None, None, max(1, len(r.true["run"]) // ENOUGH))
     arrays, true = ({c: x[thin] for c, x in given.items()} for given in (arrays, r.true))
     model = fit.model
-    zeros, program = np.zeros(len(model.offsets)), on_arrays(model.reading)
     state = [arrays.get(c, np.zeros(len(arrays["run"]))) for c in model.state]
     wired = fit.assignment or [(c, 1) for c in model.channels]
     seen = np.array([sign * arrays[c] for c, sign in wired])
@@ -187,7 +185,7 @@ def decoded_errors(fit, r: Recording, arrays) -> np.ndarray:
     turns = [k for k, c in enumerate(model.channels) if c in model.period]
 
     def read(pose: np.ndarray) -> np.ndarray:
-        return weight * program(fit.values, zeros, list(pose), state)[0]
+        return weight * model.readings(fit.values, pose, state)
 
     def rest(pose: np.ndarray) -> np.ndarray:
         left = weight * seen - read(pose)

@@ -30,7 +30,6 @@ from hallsym.families import effect_named, published
 from hallsym.families.halbach.layout import Sensor
 from hallsym.families.halbach.planar import halbach_planar, pinwheel
 from hallsym.log import Log, Meta, Noise
-from hallsym.model.arrays import on_arrays
 from hallsym.simulation import NoiseModel, paper_campaign, simulate
 
 LATE_S = 1e-3
@@ -112,7 +111,7 @@ def mover() -> Log:
     stroke = np.array([0.0125, 0.0125, 2e-3, 0.01, 0.01, 0.01])[:, None]
     poses = np.hstack([*(np.sin(turns) * stroke)]) + np.array([0, 0, 6.5e-3, 0, 0, 0])[:, None]
     sigma = dict.fromkeys(model.channels, 1e-4) | dict.fromkeys(model.references, 1e-7)
-    (volts,) = on_arrays(model.reading)(model.nominal, [], [*poses], [])
+    volts = model.readings(model.nominal, poses)
     columns = dict(zip((*model.references, *model.channels), (*poses, *volts), strict=True))
     columns = {c: v + sigma[c] * rng.standard_normal(len(v)) for c, v in columns.items()}
     clock = {"run": np.repeat(np.arange(runs), n), "t_s": 1e-2 * np.arange(runs * n)}

@@ -35,7 +35,6 @@ from hallsym.codegen.backend import COUNT
 from hallsym.codegen.box import box_of
 from hallsym.codegen.decoupler import FLAG_BITS, short, steps_on_arrays
 from hallsym.codegen.lowering import rows
-from hallsym.model import on_arrays
 
 M0 = ("MACHINE=microbit", "CPU=-mcpu=cortex-m0 -mthumb")
 M3 = ("MACHINE=mps2-an385", "CPU=-mcpu=cortex-m3 -mthumb")
@@ -113,8 +112,8 @@ def inputs_of(name, at, near=0.0):
     """Readings [SI] at poses and states by the model's own equation, and what says the period."""
     fit, d = EVERY[name].fit(), EVERY[name].made().decoupler
     pose, state = np.split(at, [len(d.pose)])
-    read = on_arrays(fit.model.reading)(fit.values, np.zeros(len(fit.model.offsets)), list(pose), list(state))
-    rows = dict(zip((*fit.model.channels, *fit.model.state), (*read[0], *state), strict=True))
+    read = fit.model.readings(fit.values, pose, state)
+    rows = dict(zip((*fit.model.channels, *fit.model.state), (*read, *state), strict=True))
     for c, row in rows.items():
         if c in fit.model.period:  # as a chip gives it
             rows[c] = row - fit.model.period[c] * np.round(row / fit.model.period[c])

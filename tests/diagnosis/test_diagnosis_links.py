@@ -23,7 +23,6 @@ from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log
 from hallsym.log.core import Drop, without
 from hallsym.model import Effect, Model, Parameter
-from hallsym.model.arrays import on_arrays
 from hallsym.model.effect import as_effect
 
 CATALOGUE = tuple(e for e in effects(STAGE_FAMILY).values() if e.diagnosed)
@@ -127,12 +126,11 @@ def test_sizes_are_those_of_the_decoded_pose_and_of_the_readings() -> None:
             assert r.above**2 == pytest.approx(max(r.rms**2 - r.noise**2, 0.0))
         for kind in (size.outputs, size.sensors):
             assert sum(s[side].share for s in kind.values()) == pytest.approx(1.0)
-    read = on_arrays(base.model.reading)
     total, count = np.zeros(3), 0
     for block in base.log.blocks():
         if block.run in base.holdout:
             pose, state = ([block.data[c] for c in n] for n in (base.model.references, base.model.state))
-            (expected,) = read(base.p, base.offsets[block.run], pose, state)
+            expected = base.model.readings(base.p, pose, state, base.offsets[block.run])
             left = np.array([block.data[c] for c in base.model.channels]) - expected
             total, count = total + (left**2).sum(axis=1), count + left.shape[1]
     seen = [size.sensors[c]["held_out"].rms for c in base.model.channels]

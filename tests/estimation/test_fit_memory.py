@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from hallsym import Log, Noise, build, fit, published, table8_noise
-from hallsym.model import on_arrays
 
 RUNS, SAMPLES = 10_000, 20
 MOST_MB = 400.0
@@ -22,9 +21,7 @@ def many_runs(runs: int = RUNS) -> Log:
     pose = [5e-4 * np.sin(frequency * t), 5e-4 * np.cos(frequency * t), 1e-3 * np.sin(0.7 * frequency * t)]
     state = [rng.uniform(low, high, runs)[run] for low, high in ((0, 3e-3), (-1e-3, 1e-3), (-1e-3, 1e-3))]
     zeros = rng.uniform(-1e-5, 1e-5, (len(model.offsets), runs))[:, run]
-    (reading,) = on_arrays(model.reading)(
-        model.vector(published.values("table7_estimates")), zeros, pose, state
-    )
+    reading = model.readings(model.vector(published.values("table7_estimates")), pose, state, zeros)
     columns = dict(zip((*model.references, *model.state), [*pose, *state], strict=True))
     columns |= dict(zip(model.channels, reading, strict=True))
     sigma = table8_noise(model).sigma

@@ -24,7 +24,6 @@ from hallsym.families.halbach.models import halbach
 from hallsym.families.published import table as published
 from hallsym.inference.profiles import profile
 from hallsym.log import Meta
-from hallsym.model import on_arrays
 from hallsym.model.model import parameter
 from hallsym.uncertainty import errors_along
 
@@ -200,14 +199,14 @@ def test_a_lag_is_the_readings_through_a_low_pass(per):
     late, model = build("halbach", added=(f"first_order_lag{per}",)), build("halbach")
     t = np.linspace(0, 0.5, 2000 * fine + 1)
     x, v = 0.01 * np.sin(rate * t), 0.01 * rate * np.cos(rate * t)
-    seen = on_arrays(model.reading)(model.nominal, [], [x, 5e-3 + 0 * x], [])[0]
+    seen = model.readings(model.nominal, [x, 5e-3 + 0 * x])
     decay, step = np.exp(-t[1] / tau), t[1] / tau
     sides = (1 - decay) / step
     filtered = lfilter([1 - sides, sides - decay], [1, -decay], seen, axis=1)[:, ::fine]  # linear between
     known = {"d1_x_ref_m": v[::fine], "d2_x_ref_m": -(rate**2) * x[::fine]}
     state = [known.get(c, 0 * v[::fine]) for c in late.state]
     values = late.vector({n: tau for n in late.names if n.startswith("tau_")})
-    found = on_arrays(late.reading)(values, [], [x[::fine], 5e-3 + 0 * x[::fine]], state)[0]
+    found = late.readings(values, [x[::fine], 5e-3 + 0 * x[::fine]], state)
     settled, size = t[::fine] > 0.1, np.abs(seen).max()
     assert np.abs(seen[:, ::fine] - filtered).max() > 0.01 * size
     assert np.abs(found - filtered)[:, settled].max() < 5e-6 * size

@@ -22,7 +22,6 @@ from hallsym.families.halbach.finite import strength
 from hallsym.families.halbach.layout import Array, Sensor, arrays, columns
 from hallsym.families.halbach.models import halbach
 from hallsym.log import Meta
-from hallsym.model import on_arrays
 from hallsym.uncertainty import errors_along
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
@@ -36,14 +35,9 @@ from hallsym.families.halbach.planar import halbach_planar
 NINE = columns([(j - 4) * 0.01 for j in range(9)])
 
 
-def read_at(model, p, x, z):
-    """Readings (K, n) at arrays of x and z."""
-    return on_arrays(model.reading)(p, [], [x, z], [])[0]
-
-
 def read(model, values, x, z):
-    """The same by values of named parameters."""
-    return read_at(model, model.vector(values), x, z)
+    """Readings (K, n) at arrays of x and z, by values of named parameters."""
+    return model.readings(model.vector(values), [x, z])
 
 
 def test_a_finite_array_is_that_of_cuboids():
@@ -182,7 +176,7 @@ def test_a_log_over_many_periods_is_fitted_and_decoded_without_a_reference():
     assert all(rmse[c] == pytest.approx(floor, rel=0.15) for c, floor in fit.noise_floor.items())
     assert not fit.model.period  # x is known over all periods
     v = np.array([log.array(c) for c in bare.channels])
-    found = on_arrays(fit.model.decoded)(fit.model.vector(values), [], v, [], np.full(len(v), 1e6))[0]
+    found = fit.model.decode(fit.model.vector(values), [], v, [], np.full(len(v), 1e6))
     assert np.abs(found[0] - log.array("x_ref_m")).max() < 3e-5
     claims = {claim.name: claim.text for claim in hallsym.fit(log, bare, solver="direct").claims}
     assert re.search(r"outside the field in \d+ % of the samples", claims["beyond"])
@@ -192,8 +186,8 @@ def test_a_log_over_many_periods_is_fitted_and_decoded_without_a_reference():
 def test_the_decoded_place_has_no_step_as_sensors_come_and_go():
     wide, values, _ = travelling()
     x = np.arange(-0.105, 0.105, 1e-4)
-    v = read_at(wide, wide.vector(values), x, np.full(len(x), 5e-3))
-    found = on_arrays(wide.decoded)(wide.vector(values), [], v, [], np.ones(len(v)))[0]
+    v = read(wide, values, x, np.full(len(x), 5e-3))
+    found = wide.decode(wide.vector(values), [], v, [], np.ones(len(v)))
     assert np.abs(found[0] - x).max() < 1e-8
     away = ends.seen(arrays(wide.layout)["X"], 0.061)
     assert float(away) == 0.0

@@ -16,7 +16,6 @@ from hallsym.families.halbach.layout import Array, Sensor, arrays, columns, sens
 from hallsym.families.halbach.models import halbach
 from hallsym.families.halbach.planar import halbach_planar, pinwheel
 from hallsym.log import Log, Meta, Noise
-from hallsym.model import on_arrays
 
 MAPS = REAL / "halbach-fieldmaps"
 HERE = needs(MAPS)
@@ -254,9 +253,8 @@ def test_a_magnet_of_a_map_is_a_cuboid(planar):
     number = max(int(n.split("_")[-2]) for n in model.names if n.startswith(f"magnet_{label}"))
     amplitude = BR * 4 / np.pi * np.sin(np.pi / 4) * (1 - np.exp(-np.pi / 2)) * np.exp(-np.pi / 3)
     pose = [0.004, 0.003, 6e-3, 0.0, 0.0, 2e-3] if planar else [0.004, 6e-3]
-    read = on_arrays(model.reading)
     named = ({"a1": amplitude, f"magnet_{label}{number}_remanence": s} for s in (0.0, -2.0))
-    own = [read(model.vector(p), [], pose, [])[0].ravel() for p in named]
+    own = [model.readings(model.vector(p), pose).ravel() for p in named]
     parts = magnets(0, array.centre, array.length_m, array.width_m)
     one = [parts[number + len(parts) // 2]]
     full = np.array(pose if planar else [pose[0], 0, pose[1], 0, 0, 0])

@@ -111,7 +111,7 @@ def recorded(model, stroke=0.0125, change=None):
     """A log of the model at its nominal values; `change(data)` spoils it."""
     turns = np.outer(np.linspace(0, 1, 1200), 2 * np.pi * np.array([3, 7, 5, 4, 6, 8]))
     poses = np.sin(turns) * [stroke, stroke, 2e-3, 0.01, 0.01, 0.01] + [0, 0, 6.5e-3, 0, 0, 0]
-    v = on_arrays(model.reading)(model.nominal, [], [*poses.T], [])[0]
+    v = model.readings(model.nominal, poses.T)
     log = log_of(model, poses, v, 1e-3)
     if change is None:
         return log
@@ -157,7 +157,7 @@ def test_rows_longer_than_the_arrays_are_taken_with_their_ends_and_odd_without()
     turns = np.linspace(0, 1, 400)[:, None] * 2 * np.pi * [3, 4, 5, 7, 6, 5]
     poses = np.sin(turns) * [0.03, 0.03, 1.5e-3, 5e-3, 5e-3, 5e-3] + [0, 0, 5.5e-3, 0, 0, 0]
     p = ended.vector({"a1": 0.62, "a5": -6e-4, "edges": 1.0})
-    v = on_arrays(ended.reading)(p, [], [*poses.T], [])[0]
+    v = ended.readings(p, poses.T)
     log = log_of(ended, poses, v, 1e-3)
     planar.inspect(ended, log)
     assert re.search(r"goes .* mm beyond sensor", planar.inspect(model, log).notes[0])
@@ -189,7 +189,7 @@ def test_the_closed_form_knows_products_of_angle_and_travel(moves, most):
     v = ca.SX.sym("v", len(model.channels))
     named = {n: ca.SX(x) for n, x in zip(model.names, model.nominal, strict=True)}
     closed = on_arrays(ca.Function("closed", [v], [planar.begin(v, named, model.layout)]))
-    read = on_arrays(model.reading)(model.nominal, [], [*poses.T], [])[0]
+    read = model.readings(model.nominal, poses.T)
     assert np.all(rms(closed(read)[0] - poses.T)[:3] < most)
 
 
@@ -212,7 +212,7 @@ def test_ends_of_the_arrays_of_a_mover_are_those_of_cuboids():
         poses = np.array([[-x, 0, 6e-3 + tilt * array.centre[1], tilt, tilt, 0] for x in shifts])
         true = readings(parts, np.array(first.positions), poses).mean(axis=0)
         values = {"a1": BR * AMPLITUDE, "a5": BR * AMPLITUDE * strength(array, 5), "edges": 1.0}
-        found = on_arrays(model.reading)(model.vector(values), [], [*poses.T], [])[0][0]
+        found = model.readings(model.vector(values), poses.T)[0]
         assert np.abs(found - true).max() < 2e-3 * BR * AMPLITUDE
 
 
@@ -232,7 +232,7 @@ def test_a_model_with_ends_is_four_arrays_of_cuboids_over_its_box():
     true = readings(parts, elements, poses).reshape(24, 3, -1).mean(axis=1) / (BR * AMPLITUDE)
     model = planar.halbach_planar(layout)
     p = model.vector({"a1": 1.0, "a5": strength(arrays(layout)["X1"], 5)})
-    off = on_arrays(model.reading)(p, [], [*poses.T], [])[0] - true
+    off = model.readings(p, poses.T) - true
     assert np.sqrt(np.mean(off**2)) < finite.AIM_PLANAR
 
 
@@ -244,10 +244,10 @@ AMPLITUDE = 2 * np.sqrt(2) / np.pi * (1 - np.exp(-np.pi / 2)) * np.exp(-2 * np.p
 def test_decoding_within_the_noise_over_the_thesis_box():
     model, rng = planar.halbach_planar(), np.random.default_rng(2)
     poses = drawn(rng, 400, low=4e-3, high=1e-2, stroke=0.015)
-    clean = on_arrays(model.reading)(model.nominal, [], [*poses.T], [])[0]
+    clean = model.readings(model.nominal, poses.T)
     noisy = clean + 1e-3 * rng.standard_normal(clean.shape)
     weight = np.full(len(clean), 1e6)
-    found = on_arrays(model.decoded)(model.nominal, [], noisy, [], weight)[0]
+    found = model.decode(model.nominal, [], noisy, [], weight)
     gain = on_arrays(model.noise_gain_at)(model.nominal, [*poses.T], [], weight)[0]
     std = 1e-3 * np.sqrt((gain.reshape(len(clean), 6, -1) ** 2).sum(axis=0))
     from hallsym.log import near

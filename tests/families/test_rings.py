@@ -11,7 +11,6 @@ from hallsym.codegen import generate
 from hallsym.errors import InputError
 from hallsym.families import build
 from hallsym.log import Log, Meta
-from hallsym.model.arrays import on_arrays
 
 TURN = 2 * np.pi
 
@@ -57,7 +56,7 @@ def test_a_table_over_the_turn_is_read_at_the_bent_angle_and_fitted_with_a_refer
     model = build("rings3", meta=meta(2, "hall1_v", "hall2_v", "hall3_v"), added=("turn_waves:count=3",))
     values = model.named(model.nominal) | {"t1c": 0.02, "t3s": -0.01, "V2": 0.3, "zero": 0.1}
     angle = np.linspace(0, TURN, 50)
-    x = on_arrays(model.reading)(model.vector(values), np.zeros(0), [angle], [])[0]
+    x = model.readings(model.vector(values), [angle])
     u = angle + 0.1
     u = u + 0.02 * np.cos(u) - 0.01 * np.sin(3 * u)
     expected = [k * 0.3 + np.cos(2 * (u + k2)) for k, k2 in ((0, 0.0), (1, TURN / 6), (0, TURN / 3))]
@@ -93,7 +92,7 @@ def test_c_of_several_heads_gives_the_angle_within_a_period(pairs, heads, arithm
     fit = known(bent, values, noise=fit.noise, log=fit.log)
     made = generate(fit, arithmetic=arithmetic)
     angle = np.random.default_rng(0).uniform(-np.pi / pairs, np.pi / pairs, 500)
-    x = on_arrays(bent.reading)(values, np.zeros(0), [angle], [])[0]
+    x = bent.readings(values, [angle])
     assert np.abs(made.decoupler.difference(made.decoupler.exact(x), angle[None])).max() < 1e-9
     assert made.errors["angle_rad"] <= made.bounds.error["angle_rad"] < 1e-4 * TURN / pairs
 

@@ -28,7 +28,6 @@ from hallsym.families.stage.models import (
     vertical_coupling,
 )
 from hallsym.log import Log, Meta
-from hallsym.model import on_arrays
 from hallsym.simulation import Campaign, paper_campaign, simulate, table8_noise
 
 ROUNDINGS = 16 * EPS
@@ -288,7 +287,7 @@ def test_late_readings_of_a_fast_tone_have_the_exact_phase_and_size(name, respon
         known = {f"d{n}_x_ref_m": v for n, v in enumerate(rates, start=1)}
         state = [known.get(c, 0 * tone.real) for c in wide.state]
         still = 0 * tone.real
-        return on_arrays(wide.reading)(values, [0.0] * 3, [moved.real, still, still], state)[0]
+        return wide.readings(values, [moved.real, still, still], state)
 
     values = late.vector({f"tau_{name}": share / rate})
     exact = read(model, model.nominal, response(share) * tone)

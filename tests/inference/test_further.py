@@ -10,7 +10,6 @@ from hallsym.families import build
 from hallsym.families.halbach import half_turned
 from hallsym.families.halbach.layout import arrays
 from hallsym.inference import identify
-from hallsym.model import on_arrays
 from hallsym.simulation import Campaign, Run, paper_campaign, sine
 
 GAP, WIDER = 4.2e-3, 5.2e-3
@@ -67,16 +66,16 @@ def test_a_turned_mover_reads_as_one_turned_by_the_reference(name):
     values = {"a1": 0.62, "a5": -2e-3} | ({"b1": 0.2, "b5": 1e-3} if name == "halbach" else {})
     pose = {"x_m": 3e-3, "y_m": -4e-3, "z_m": 6e-3, "rx_rad": 4e-3, "ry_rad": -5e-3, "rz_rad": 7e-3}
     places = np.array([[pose[c]] for c in model.pose])
-    (read,) = on_arrays(turned.reading)(turned.vector(values), [], places, [])
+    read = turned.readings(turned.vector(values), places)
     if name == "halbach":
         mirrored = np.array([[-3e-3], [6e-3]])
-        (plain,) = on_arrays(model.reading)(model.vector(values), [], mirrored, [])
+        plain = model.readings(model.vector(values), mirrored)
         np.testing.assert_allclose(read.ravel(), plain.ravel()[::-1], rtol=1e-12)
         return
     places[3:] = [[-4e-3], [5e-3], [7e-3 + np.pi]]  # Ry Rx Rz(pi) = Rz(pi) Ry(-) Rx(-)
     swapped = [s if not hasattr(s, "array") else _under(s, model.layout) for s in model.layout]
     board = model.family.maker(name)(tuple(swapped))
-    (plain,) = on_arrays(board.reading)(board.vector(values), [], places, [])
+    plain = board.readings(board.vector(values), places)
     np.testing.assert_allclose(read.ravel(), plain.ravel(), rtol=1e-9, atol=1e-12)
 
 

@@ -8,7 +8,7 @@ import pytest
 from hallsym.errors import InputError
 from hallsym.families import build
 from hallsym.families.stage.models import stage15, stage31, zero_deviation
-from hallsym.model import LINKS, Parameter, on_arrays
+from hallsym.model import LINKS, Parameter
 
 
 def test_links_are_ordered_along_the_chain_whatever_the_order_of_adding():
@@ -121,7 +121,7 @@ def test_arrays_are_decoded_as_single_samples_are_on_the_branch_asked_for(name, 
     pose, state = model.poses(3, rng), np.zeros((len(model.state), 3))
     size = 1.0 if model.typical else 1e-4
     offsets, weight = np.zeros(len(model.offsets)), np.ones(len(model.channels))
-    (reading,) = on_arrays(model.reading)(model.nominal, offsets, [*(size * pose)], [*state])
+    reading = model.readings(model.nominal, size * pose, state, offsets)
     found = model.decode(model.nominal, offsets, reading, state, weight)
     single = [
         np.asarray(model.decoded(model.nominal, offsets, m, s, weight)).ravel()

@@ -7,7 +7,6 @@ import pytest
 
 import hallsym
 from hallsym.errors import InputError
-from hallsym.model import on_arrays
 from hallsym.sorting import match_sensors, sort_sensors
 from hallsym.sorting.influence import influence_of_gains, is_symmetric, without_common
 from hallsym.uncertainty.tolerances import Workspace
@@ -49,9 +48,7 @@ def test_what_a_gain_multiplies_is_what_its_parameters_do(model):
     machine = influence.values.copy()
     for name in names:
         machine[model.names.index(name)] *= 1.01
-    (read,) = on_arrays(model.reading)(
-        machine, np.zeros(len(model.offsets)), influence.where.pose, influence.where.state
-    )
+    read = model.readings(machine, influence.where.pose, influence.where.state)
     np.testing.assert_allclose(
         read[1] - influence.reading[1], 0.01 * influence.part[1], atol=1e-12 * np.abs(read).max()
     )
