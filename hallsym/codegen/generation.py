@@ -33,6 +33,7 @@ from hallsym.codegen.observer import Observer
 from hallsym.codegen.templates import LICENSE
 from hallsym.errors import InputError, quoted, require
 from hallsym.estimation.calibration import Fit
+from hallsym.estimation.prediction import reading_variance
 from hallsym.records import builtins
 from hallsym.shown import Shown
 
@@ -242,8 +243,7 @@ def decouple(fit: Fit) -> ca.Function:
     """
     model = fit.model
     reading, state = ca.SX.sym("reading", len(model.channels)), ca.SX.sym("state", len(model.state))
-    weight = 1.0 / np.array([fit.noise.sigmas[c].value for c in model.channels]) ** 2
-    pose = model.decoded(fit.values, np.zeros(len(model.offsets)), reading, state, weight)
+    pose = model.decoded(fit.values, np.zeros(len(model.offsets)), reading, state, 1 / reading_variance(fit))
     return ca.Function("decouple", [reading, state], [pose], ["reading", "state"], ["pose"])
 
 

@@ -21,6 +21,7 @@ import numpy as np
 from hallsym.codegen.decoupler import Decoupler, Entry, short, unit
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit
+from hallsym.families.recording import as_read
 from hallsym.log import Log
 
 LONGEST = 3.0
@@ -204,22 +205,17 @@ def followed(fit: Fit, log_: Log, observer: Observer) -> tuple[Followed, ...]:
 
 def _runs(fit: Fit, log_: Log) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Return times, decoded poses and references of the runs of a log, each from its own zero."""
-    model, out = fit.model, []
-    weight = 1.0 / np.array([fit.noise.sigmas[c].value ** 2 for c in model.channels])
-    none = np.zeros(len(model.offsets))
-    run, t = log_.array("run"), log_.array("t_s")
-    rows = {c: log_.array(c) for c in (*model.channels, *model.state, *model.references)}
-    for number in np.unique(run):
-        own = run == number
+    read, out = as_read(log_, fit.model, fit.corrections), []
+    found, t = fit.predict(read), read.array("t_s")
+    rows = [found[c] for c in fit.model.pose], [read.array(c) for c in fit.model.references]
+    for number in np.unique(found["run"]):
+        own = found["run"] == number
         if own.sum() < MOST_SHORT:
             continue
-        readings, states, reference = ([rows[c][own] for c in columns] for columns in (
-            model.channels, model.state, model.references
-        ))  # fmt: skip
-        pose = model.decode(fit.values, none, readings, states, weight, reference)
-        off = _around(pose - np.array(reference), _periods(fit)[:, None])
+        pose, reference = (np.array(values)[:, own] for values in rows)
+        off = _around(pose - reference, _periods(fit)[:, None])
         pose = pose - off.mean(axis=1, keepdims=True)  # as after a reset at a known pose
-        out.append((t[own], pose, np.array(reference)))
+        out.append((t[own], pose, reference))
     if not out:
         raise InputError(
             f"No run of {log_.name} has {MOST_SHORT} samples; an observer is found from longer ones."

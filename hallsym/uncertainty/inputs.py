@@ -20,6 +20,7 @@ import numpy as np
 
 from hallsym.errors import InputError, nearest, require
 from hallsym.estimation import Fit
+from hallsym.estimation.prediction import reading_variance
 from hallsym.families import adapted, plain
 from hallsym.files import read_json
 from hallsym.model import Model
@@ -229,8 +230,8 @@ def slopes(fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings) ->
     """
     check_fit(fit)
     check_gain(fit, state, settings)
-    model, zero = fit.model, zero_point(fit.model, settings)
-    found = influence(model, fit.values, np.zeros(len(model.offsets)), pose, state, weights(fit))
+    model, zero, weight = fit.model, zero_point(fit.model, settings), 1 / reading_variance(fit)
+    found = influence(model, fit.values, np.zeros(len(model.offsets)), pose, state, weight)
     moved, by_parameters = np.asarray(pose).T - zero[0], found.parameters  # (s, n_pose, ...)
     places = {
         "reading": found.readings,
@@ -242,9 +243,8 @@ def slopes(fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings) ->
         by_p, by_zero, by_pose, by_state = reading_slopes(
             model, fit.values, none, *(v[:, None] for v in zero)
         )
-        by_reading = found.offsets @ estimator(
-            by_zero, weights(fit)
-        )  # through the offsets, which a reset determines
+        # through the offsets, which a reset determines
+        by_reading = found.offsets @ estimator(by_zero, weight)
         places |= {"zero reading": by_reading, "zero state": -by_reading @ by_state}
         places |= {"zero pose": -by_reading @ by_pose}
         by_parameters = by_parameters - by_reading @ by_p
@@ -270,11 +270,6 @@ def offsets_at_reset(model: Model) -> Callable[..., list[np.ndarray]]:
     BW = (B * ca.repmat(weight, 1, B.size2())).T
     offsets = ca.densify(ca.solve(BW @ B, BW @ (reading - at_zero)))
     return on_arrays(ca.Function("offsets", [s.parameters, reading, s.pose, s.state, weight], [offsets]))
-
-
-def weights(fit: Fit) -> np.ndarray:
-    """1/variance of each channel, as `fit` decodes."""
-    return np.array([fit.noise[c].value ** -2 for c in fit.model.channels])
 
 
 def check_gain(fit: Fit, state: np.ndarray, settings: Settings) -> None:

@@ -15,13 +15,13 @@ from scipy.special import chdtri, ndtr
 
 from hallsym.errors import InputError, require
 from hallsym.estimation import Fit
+from hallsym.estimation.prediction import reading_variance
 from hallsym.uncertainty.gum import Budget
 from hallsym.uncertainty.inputs import (
     Settings,
     independent_inputs,
     offsets_at_reset,
     slopes,
-    weights,
     zero_point,
 )
 from hallsym.uncertainty.position import place, position_budget
@@ -249,7 +249,7 @@ def decoded_at_random(fit: Fit, at: Mapping[str, float], settings: Settings) -> 
         "reading": reading, "state": state, "scale": np.zeros(len(pose)),
         "zero reading": first, "zero state": s0, "zero pose": q0,
     }  # fmt: skip
-    weight, root = weights(fit), _root(fit.covariance)
+    weight, root = 1 / reading_variance(fit), _root(fit.covariance)
     stretch = _stretch(fit.degrees_of_freedom)
     offsets = offsets_at_reset(model) if model.offsets else None
     of_model = np.sqrt(sum((v[0] for v in left.values()), np.zeros(len(pose))))

@@ -16,6 +16,7 @@ from hallsym.codegen.decoupler import Box, Decoupler
 from hallsym.codegen.lowering import angle, linear, wave
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit
+from hallsym.estimation.prediction import reading_variance
 from hallsym.model import Model
 
 Lowering = Callable[..., Decoupler]
@@ -39,7 +40,7 @@ def options_of(lowering: Lowering) -> tuple[str, ...]:
 
 def lower(fit: Fit, box: Box, **options: Any) -> Decoupler:
     """Return the decoupler of a calibration over a box."""
-    sigma = np.array([fit.noise.sigmas[c].value for c in fit.model.channels])
+    sigma = np.sqrt(reading_variance(fit))
     known = {} if fit.goodness is None else fit.goodness.by_channel
     residual_over_noise = [max(1.0, known.get(c, 1.0)) for c in fit.model.channels]
     found = lowered(fit.model, fit.values, 1.0 / sigma**2, box, **options)
