@@ -14,16 +14,6 @@ from solvers.newton import bounded_step, gauss_newton, newton
 from solvers.problem import Population, Problem, Result
 
 __all__ = [
-    "EXPLORERS",
-    "SOLVERS",
-    "Population",
-    "Problem",
-    "Result",
-    "bounded_step",
-    "gauss_newton",
-    "hybrid",
-    "ipopt",
-    "minimize",
-    "newton",
-    "screened_starts",
-]
+    "EXPLORERS", "SOLVERS", "Population", "Problem", "Result", "bounded_step", "gauss_newton", "hybrid",
+    "ipopt", "minimize", "newton", "screened_starts",
+]  # fmt: skip

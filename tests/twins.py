@@ -245,7 +245,7 @@ def with_arrays(fit: Fit, covariance: np.ndarray | None = None, **columns: np.nd
     parameters = fit.parameters
     for name, column in columns.items():
         key = "value" if name == "values" else name
-        given = dict(zip(fit.model.names, column.tolist(), strict=True))
+        given = fit.model.named(column)
         parameters = {n: structs.replace(p, **{key: given[n]}) for n, p in parameters.items()}
     record = fit.covariance_record
     if covariance is not None:

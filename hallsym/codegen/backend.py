@@ -26,6 +26,7 @@ from hallsym.codegen.residual import Ran
 from hallsym.codegen.templates import LICENSE, filled, hexadecimal, status_bit, tree
 from hallsym.files import json_text
 from hallsym.output import commented
+from hallsym.records import named
 
 STEP = "misra-c2012-8.7:decoupler.c"
 """Deviation: the function is external for its user, not for its library."""
@@ -257,7 +258,7 @@ class Backend(ABC):
             pose, status = self.step(inputs)
             error = d.difference(_si(pose, self.outputs), d.exact(_si(inputs, self.inputs)))
             most = np.maximum(most, np.abs(error[:, status == 0]).max(axis=1, initial=0.0))
-        return dict(zip(d.pose, most.tolist(), strict=True))
+        return named(d.pose, most)
 
     @cached_property
     def vectors(self) -> Vectors:

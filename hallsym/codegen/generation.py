@@ -335,7 +335,7 @@ def digest_of(fit: Fit) -> str:
     record = {
         "model": fit.model.name,
         "effects": list(fit.model.effects),
-        "parameters": dict(zip(fit.model.names, fit.values.tolist(), strict=True)),
+        "parameters": fit.model.named(fit.values),
         "noise": fit.noise.std,
         "log": builtins(fit.log),
     }

@@ -14,14 +14,14 @@ TURNS = (1, 2, 4, 8, 16, 32)
 """Numbers of turns whose error is stated."""
 
 
-def two_speeds(v_slow: float, v_fast: float, ratio: float) -> float:
-    """Return the standard error of a wave from two speeds, fast / slow = `ratio`, of variances at each.
+def two_speeds(ratio: float) -> float:
+    """Return the standard error of a wave from two speeds, fast / slow = `ratio`, of variance 1 at each.
 
-    >>> round(two_speeds(1.0, 1.0, 2.0), 2)
+    >>> round(two_speeds(2.0), 2)
     1.37
     """
     q = ratio**-2
-    return float(np.sqrt(v_fast + q * q * v_slow) / (1 - q))
+    return float(np.sqrt(1 + q * q) / (1 - q))
 
 
 def turns_for(density: np.ndarray, target: float) -> float:
@@ -87,5 +87,5 @@ class TurnPlan(Shown):
             "turns": self.turns,
             "least_rad": None if self.density is None else self.least,
             "error_rad": {} if self.density is None else {str(n): self.error(n) for n in TURNS},
-            "two_speeds": {f"{r:g}": two_speeds(1.0, 1.0, r) for r in RATIOS},
+            "two_speeds": {f"{r:g}": two_speeds(r) for r in RATIOS},
         }

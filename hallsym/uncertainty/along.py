@@ -12,6 +12,7 @@ from hallsym.families import effect_named
 from hallsym.families import plain as without_effects
 from hallsym.log.phase import near
 from hallsym.model import Model, on_arrays
+from hallsym.records import named
 from hallsym.shown import Shown
 from hallsym.uncertainty.position import place
 
@@ -177,10 +178,10 @@ class ErrorModel(Shown):
                 {
                     "name": name,
                     "values": dict(values),
-                    "rms": dict(zip(pose, e.rms.tolist(), strict=True)),
-                    "peak": dict(zip(pose, e.peak.tolist(), strict=True)),
+                    "rms": named(pose, e.rms),
+                    "peak": named(pose, e.peak),
                     "waves": dict(zip(pose, e.waves, strict=True)),
-                    "error": dict(zip(pose, e.error.tolist(), strict=True)),
+                    "error": named(pose, e.error),
                 }
                 for name, values, e in self.causes
             ],

@@ -16,6 +16,7 @@ from firmware import Library, calibration, need, passes, written
 import hallsym
 from hallsym.codegen import Observer, followed, observer_of
 from hallsym.errors import InputError
+from hallsym.families.recording import read_correction
 
 PERIOD = 0.01
 
@@ -120,6 +121,15 @@ def test_on_the_bundled_campaign_the_error_hardly_grows_with_speed():
     others = [observer_of(calibration(), log, bandwidth_hz=hz) for hz in (2.0, 5.0)]
     worse = [followed(calibration(), log, other)[0].predicted[-1] for other in others]
     assert worse[0] > worse[1] > followed(calibration(), log, observer)[0].predicted[-1]
+
+
+def test_a_log_is_followed_without_the_mistakes_that_the_calibration_corrects():
+    log, one = hallsym.bundled_campaign(), read_correction(f"sign {calibration().model.channels[1]}")
+    columns = {name: log.array(name) for name in log.columns}
+    columns[one.columns[0]] = -columns[one.columns[0]]
+    fit, mistaken = calibration().changed(corrections=(one,)), hallsym.Log.from_arrays(columns)
+    (right, *_), (found, *_) = followed(calibration(), log, observed()), followed(fit, mistaken, observed())
+    assert found.predicted == pytest.approx(right.predicted, rel=1e-6)
 
 
 @pytest.mark.slow

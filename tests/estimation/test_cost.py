@@ -43,7 +43,7 @@ def brute_force(
     log: Log, model, p: np.ndarray, centre: np.ndarray, sigma, offsets=None
 ) -> tuple[float, dict]:
     """F and the offsets of each run, sample by sample, without a line of the package."""
-    v = dict(zip(model.names, p.tolist(), strict=True))
+    v = model.named(p)
     PM, total, best = pm(v), 0.0, {}
     slope = np.array([[v.get(f"{q}_{k}", 0.0) for q in "abc"] for k in "ABC"])
     for run in log.runs:

@@ -183,7 +183,7 @@ def test_two_speeds_cost_what_the_formula_says() -> None:
             found = sc.line_of([parts[0], fast], 6, "coasting")
             errors.append(np.sum(np.abs(found.table) ** 2) / 2)
         single = np.sqrt(6 * 2 * 0.01**2 / 300 / 4)
-        assert abs(np.sqrt(np.mean(errors)) / single / two_speeds(1, 1, ratio) - 1) < 0.2
+        assert abs(np.sqrt(np.mean(errors)) / single / two_speeds(ratio) - 1) < 0.2
 
 
 def test_a_calibration_decodes_the_ring_that_it_has_not_seen_with_a_reference() -> None:

@@ -49,10 +49,6 @@ def zeros(model, d: np.ndarray) -> np.ndarray:
     return d if model.offsets else NONE
 
 
-def named(model, p: np.ndarray) -> dict[str, float]:
-    return dict(zip(model.names, p.tolist(), strict=True))
-
-
 # -- the article's equations -----------------------------------------------------------------------------
 
 
@@ -62,7 +58,7 @@ def named(model, p: np.ndarray) -> dict[str, float]:
 def test_reading_is_the_articles_equation(make, q, s, delta, seed):
     model = make()
     p = inside(model, np.random.default_rng(seed))
-    v = named(model, p)
+    v = model.named(p)
     d = delta / phi(v, s * 0.0) if model.offsets else np.zeros(3)
     expected = phi(v, s) * (pm(v) @ q + d)
     size = phi_size(v, s) * (np.abs(pm(v)) @ np.abs(q) + np.abs(d))
@@ -99,7 +95,7 @@ def test_decoding_inverts_reading(make, effects, layout, q, s, seed):
         model = exact_rotation(model)
     rng = np.random.default_rng(seed)
     p = model.vector(
-        {n: v for n, v in named(model, inside(model, rng)).items() if n.startswith(("eta", "x0", "y0", "H"))}
+        {n: v for n, v in model.named(inside(model, rng)).items() if n.startswith(("eta", "x0", "y0", "H"))}
         | {n: rng.uniform(-0.03, 0.03) for n in model.names if n.startswith("theta")}
         | {n: rng.uniform(-200, 200) for n in model.names if n.split("_")[0] in ("a", "b", "c")}
     )
@@ -121,7 +117,7 @@ def test_turned_machine_reads_the_same(exact, layout, q, s, turn, seed):
     rng = np.random.default_rng(seed)
     make = (lambda x: exact_rotation(stage31_tied(x))) if exact else stage31_tied
     one, two = make(layout), make(turned)
-    v = {n: x for n, x in named(one, inside(one, rng)).items() if n.startswith(("theta", "eta"))}
+    v = {n: x for n, x in one.named(inside(one, rng)).items() if n.startswith(("theta", "eta"))}
     v |= {n: rng.uniform(-200, 200) for n in one.names if n.startswith("a_")}
     point = rng.uniform(-0.3, 0.3, 2)
     read = numbers(
@@ -140,7 +136,7 @@ def test_turned_machine_reads_the_same(exact, layout, q, s, turn, seed):
 def test_exact_rotation_is_the_rotation_matrix(layout, q, seed):
     """A probe at p moves by R(Rz) (p + (x, y)) - p, whatever the angle."""
     model = exact_rotation(stage15(layout))
-    v = named(model, inside(model, np.random.default_rng(seed)))
+    v = model.named(inside(model, np.random.default_rng(seed)))
     q = np.array(q)
     rz = q[2]
     R = np.array([[np.cos(rz), -np.sin(rz)], [np.sin(rz), np.cos(rz)]])
@@ -159,7 +155,7 @@ def test_exact_rotation_is_the_rotation_matrix(layout, q, seed):
 @given(layouts(), poses, states, seeds)
 def test_tied_coupling_is_the_free_one_of_a_rigid_stage(layout, q, s, seed):
     tied, free = tied_vertical_coupling(stage15(layout)), vertical_coupling(stage15(layout))
-    v = named(tied, inside(tied, np.random.default_rng(seed)))
+    v = tied.named(inside(tied, np.random.default_rng(seed)))
     w = {n: x for n, x in v.items() if n in free.names}
     for k, probe in enumerate(layout, start=1):
         sx, sy = (-1.0 if value < 0 else 1.0 for value in probe.position)

@@ -296,7 +296,7 @@ def closed_form(model: Model, coefficients: Mapping[str, np.ndarray]) -> np.ndar
     `coefficients`: feature name -> (n_channels,), from linear least squares. Parameters it cannot see stay
     nominal.
     """
-    p = dict(zip(model.names, model.nominal.tolist(), strict=True))
+    p = model.named(model.nominal)
     start = _from_voltages if model.channels == VOLTAGES else _from_angle
     found = start(p, coefficients)
     return np.array([found.get(name, p[name]) for name in model.names])

@@ -225,7 +225,7 @@ def closed_form(model: Model, coefficients: Mapping[str, np.ndarray]) -> np.ndar
     probe's matrix is phi's coefficient times (n_x, n_y, lever arm), so its leading singular vectors are the
     gain and the sensing direction, whatever the angle. Parameters it cannot see stay nominal.
     """
-    p = dict(zip(model.names, model.nominal.tolist(), strict=True))
+    p = model.named(model.nominal)
     slopes, none = {}, np.zeros(len(model.layout))
     for k, probe in enumerate(model.layout):
         rows = [[f"{pose}*{state}".rstrip("*") for pose in model.pose] for state in ("", *STATE)]

@@ -129,7 +129,7 @@ def turns_content(found: TurnPlan) -> Content:
         )
     weak = np.argsort(found.seen)[:6]
     rows = [[str(n + 1), "open" if n + 1 in found.open else f"{1 / found.seen[n]:.1f}"] for n in sorted(weak)]
-    ratios = ", ".join(f"{two_speeds(1.0, 1.0, r):.2f} at ratio {r:g}" for r in RATIOS)
+    ratios = ", ".join(f"{two_speeds(r):.2f} at ratio {r:g}" for r in RATIOS)
     blocks: list[Block | str] = [
         Table(
             ["weakest waves per turn", "error over that of a difference of two Halls"], rows, "weakest waves"
