@@ -8,10 +8,13 @@ from itertools import islice
 from pathlib import Path
 from typing import IO, Any
 
+import numpy as np
+
 from hallsym.errors import InputError, quoted
 from hallsym.log.arrow import Timed
+from hallsym.log.columns import SHORTEST_RUN
 from hallsym.log.pace import pace_in
-from hallsym.log.table import load
+from hallsym.log.table import BLOCK, load
 from hallsym.log.text.cells import MISSING, Convention, as_float, is_number
 from hallsym.log.text.sniff import Dialect, Encoded, is_remark, sniffed, split
 from hallsym.output import csv_text
@@ -28,8 +31,11 @@ _TORN = "The last line of {} does not end with a newline: if the file was cut sh
 class CsvSource(Timed):
     """Columns of one table of text; an empty cell is NaN.
 
-    `data`: the text of a `sheet` of a workbook, in the place of that at `path`.
+    `data`: the text of a `sheet` of a workbook, in the place of that at `path`. Empty lines and repeated
+    names divide rows into blocks, where those above them are as many as a run has.
     """
+
+    blocks = True
 
     def __init__(
         self,
@@ -53,7 +59,7 @@ class CsvSource(Timed):
     def count(self) -> int:
         """Return the number of rows: the lines are counted."""
         if not hasattr(self, "rows"):
-            self.rows = sum(piece.count("\n") for piece in self._pieces())
+            self.rows = sum(piece.count("\n") for piece, _ in self._pieces())
         return self.rows
 
     def head(self, count: int, most: int) -> list[list[str]]:
@@ -69,7 +75,8 @@ class CsvSource(Timed):
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks."""
         csv, arrow, dialect = load("pyarrow.csv"), load("pyarrow"), self.dialect
-        places, labels = [str(self.names.index(name)) for name in names], [*map(str, range(len(self.names)))]
+        asked, labels = [n for n in names if n != BLOCK], [*map(str, range(len(self.names)))]
+        places = [str(self.names.index(name)) for name in asked]
         parse = csv.ParseOptions(
             delimiter=dialect.sign,
             quote_char='"' if dialect.quoted else False,
@@ -82,26 +89,34 @@ class CsvSource(Timed):
             null_values=[f"{before}{m}{after}" for m in MISSING for before in BESIDE for after in BESIDE],
             decimal_point=dialect.numbers.decimal,
         )
-        readers, pieces = [self.reader(name) for name in names], self._pieces()
-        while text := "".join(islice(pieces, AT_ONCE)).encode():
+        readers, pieces, block, above = [self.reader(name) for name in asked], self._pieces(), 0, 0
+        while some := [*islice(pieces, AT_ONCE)]:
+            text, blocks = "".join(piece for piece, _ in some).encode(), []
+            for rows, divided in ((piece.count("\n"), divided) for piece, divided in some):
+                block += divided and above >= SHORTEST_RUN
+                above = rows if divided else above + rows
+                blocks.append(np.full(rows, block))
             whole = csv.ReadOptions(column_names=labels, block_size=len(text), use_threads=False)
             try:
                 table = csv.read_csv(arrow.BufferReader(text), whole, parse, convert)
             except arrow.ArrowInvalid as error:
                 raise first_fault(self, [*map(int, places)], error) from error
-            columns = zip(names, readers, table.columns, strict=True)
-            yield {name: array(column) for name, array, column in columns}
+            columns = zip(asked, readers, table.columns, strict=True)
+            yield {name: array(column) for name, array, column in columns} | {BLOCK: np.concatenate(blocks)}
 
-    def _pieces(self) -> Iterator[str]:
-        """Yield the clean lines from the first sample to the last one, in pieces."""
-        clean = cleaning(self.dialect)
+    def _pieces(self) -> Iterator[tuple[str, bool]]:
+        """Yield the clean lines from the first sample to the last one in pieces, and which begin a block."""
+        divide, clean, divided = dividing(self.dialect), cleaning(self.dialect), False
         for piece in self.text.pieces(self.where, self.dialect.first - 1):
-            if cleaned := clean(piece):
-                yield cleaned
+            for k, part in enumerate(divide(piece)):
+                divided |= k > 0
+                if cleaned := clean(part):
+                    yield cleaned, divided
+                    divided = False
 
     def _cells(self) -> Iterator[list[str]]:
         """Yield the rows of the table as text."""
-        for piece in self._pieces():
+        for piece, _ in self._pieces():
             yield from (split(line, self.dialect.sign) for line in piece.split("\n")[:-1])
 
 
@@ -115,10 +130,10 @@ def csv_writer(stream: IO[bytes], schema: Any, suffix: str) -> Any:
 
 def first_fault(source: CsvSource, indices: Sequence[int], error: Exception) -> InputError:
     """Return the error that says where the first bad line or cell of a CSV file is."""
-    dialect, clean = source.dialect, cleaning(source.dialect)
+    dialect, divide, clean = source.dialect, dividing(source.dialect), cleaning(source.dialect)
     known = {text for text, _ in dialect.stems.values()}
     for number, line in enumerate(source.text.lines(source.where), start=1):
-        text = clean(f"{line}\n")[:-1] if number >= dialect.first else ""
+        text = clean("".join(divide(f"{line}\n")))[:-1] if number >= dialect.first else ""
         cells = split(line, dialect.delimiter) if number >= dialect.first else []
         if line not in dialect.repeated and known & {*cells} and not any(map(is_number, cells)):
             return InputError(
@@ -164,14 +179,21 @@ BESIDE = ("", " ")
 """Characters that may stand beside a cell without a value."""
 
 
+def dividing(dialect: Dialect) -> Callable[[str], list[str]]:
+    """Return the division of lines at empty ones and at repeated names, which are left out."""
+    empty = rf"[ \t{re.escape(dialect.delimiter)}]*"  # a line of empty cells is empty too
+    one = f"(?:{'|'.join([empty, *map(re.escape, dialect.repeated)])})\n"
+    first, inside, each = re.compile(one), re.compile(f"\n{one}"), re.compile(f"^{one}", re.M)
+    # looking for one first is ten times as fast
+    return lambda lines: each.split(lines) if first.match(lines) or inside.search(lines) else [lines]
+
+
 def cleaning(dialect: Dialect) -> Callable[[str], str]:
-    r"""Return the removal of comments, empty lines, blanks, repeated names and separators from lines.
+    r"""Return the removal of comments, blanks, words and separators from lines.
 
     Numbers in another notation become usual ones. Each line ends with \n; the result is empty
     where nothing is left.
     """
-    nothing = rf"[ \t{re.escape(dialect.delimiter)}]*\n"  # a line of empty cells is empty too
-    empty, inside = re.compile(f"^{nothing}", re.M), re.compile(f"\n{nothing}")
     comment = re.compile(rf'^[ \t"]*(?:{"|".join(map(re.escape, dialect.comments))})[^\n]*\n', re.M)
     grouping = dialect.numbers.grouping
     group = re.compile(rf"(?<=\d){re.escape(grouping)}(?=\d{{3}}(?!\d))", re.A)
@@ -180,15 +202,12 @@ def cleaning(dialect: Dialect) -> Callable[[str], str]:
     beside = re.compile(rf'"[ ]*{re.escape(sign)}[ ]*"')
 
     def words(line: str) -> bool:
-        known = line in dialect.repeated
-        return known or (dialect.remarks and is_remark(line, sign, len(dialect.stems), dialect.heads))
+        return is_remark(line, sign, len(dialect.stems), dialect.heads)
 
     def clean(lines: str) -> str:
-        if empty.match(lines) or inside.search(lines):
-            lines = empty.sub("", lines)  # looking for one first is ten times as fast
         if any(mark in lines for mark in dialect.comments):
             lines = comment.sub("", lines)
-        if dialect.remarks or any(head in lines for head in dialect.repeated):
+        if dialect.remarks:
             lines = "".join(line for line in lines.splitlines(True) if not words(line.rstrip("\n")))
         for spelling in dialect.spelled:
             lines = spelling(lines)

@@ -21,6 +21,8 @@ CHUNK_ROWS = 65_536
 
 TIME = "\0time"
 """Name in a source of the time of its samples, in seconds, that its format gives; no column has this name."""
+BLOCK = "\0block"
+"""Name of the number of the block of rows that a sample is in, of a source with `blocks`."""
 Piece = dict[str, Array]
 SHOWN_ROWS = 50_000
 """Samples that show what a column is."""
@@ -40,7 +42,7 @@ class Source(ABC):
     `moment` of their zero [ns since 1970] once they were read. `pace`: the sample interval, if it states one.
     `facts`: what lines above the names say, by name.
     `filled`: whether the file says that no first cell is empty. `typed`: whether its types say that all
-    columns hold numbers.
+    columns hold numbers. `blocks`: whether rows may be divided, which the column `BLOCK` then tells.
     """
 
     names: tuple[str, ...]
@@ -59,6 +61,7 @@ class Source(ABC):
     facts: Mapping[str, str] = {}
     filled: bool = False
     typed: bool = False
+    blocks: bool = False
 
     def count(self) -> int:
         """Return the number of rows; where it is not known before, all are read."""
@@ -224,7 +227,9 @@ class Table:
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes on runs; a table without time has none."""
-        said = "No column 'run': a run begins where t_s starts again, the first is number 0."
+        said = (
+            "No column 'run': a run begins where t_s starts again or text has an empty line or names again."
+        )
         return () if self.numbered else (said,)
 
     @property
@@ -288,8 +293,9 @@ class Table:
 
     def _sources(self, columns: Sequence[str]) -> list[str]:
         """Return the file's names of the inputs of columns."""
-        asked = [*columns, *(["t_s"] if RUN in columns and not self.numbered else [])]
-        return list(dict.fromkeys(self.bindings[name].source for name in asked if name in self.bindings))
+        runs = RUN in columns and not self.numbered
+        found = [self.bindings[n].source for n in (*columns, *["t_s"] * runs) if n in self.bindings]
+        return [*dict.fromkeys(found), *[BLOCK] * (runs and self.source.blocks)]
 
     def _read(self, sources: Sequence[str]) -> Mapping[str, Array]:
         """Return whole columns of the file; runs with names are numbered in their order."""
@@ -307,25 +313,26 @@ class Table:
         found = {c: self.bindings[c].si(raw[self.bindings[c].source]) for c in columns if c in self.bindings}
         if RUN in columns and RUN not in found:
             clock = None if self.numbered else self.bindings["t_s"]
-            found[RUN] = restarts(clock.si(raw[clock.source])) if clock else np.zeros(rows, np.int64)
+            none = np.zeros(rows, np.int64)
+            found[RUN] = restarts(clock.si(raw[clock.source]), raw.get(BLOCK, none)) if clock else none
         return {c: found[c] for c in columns}
 
 
 class Restarts:
-    """Numbers runs along chunks of a clock: one begins where time is back at its beginning."""
+    """Numbers runs along chunks of a clock; one begins with a block, or where time is back at its start."""
 
     def __init__(self) -> None:
-        self._first, self._last, self._run = np.nan, np.nan, 0
+        self._first, self._last, self._run, self._block = np.nan, np.nan, 0, 0
 
-    def __call__(self, t: Array) -> Array:
-        """Return the runs, numbered from 0, of times (rows,) in s."""
+    def __call__(self, t: Array, blocks: Array) -> Array:
+        """Return the runs, numbered from 0, of times [s] and numbers of blocks, each (rows,)."""
         if not len(t):
             return np.zeros(0, np.int64)
         self._first = t[0] if np.isnan(self._first) else self._first
         before = np.r_[self._last, t[:-1]]
         back = (t < before) & (t - self._first <= RESTARTED * (before - self._first))
-        runs = self._run + np.cumsum(back)
-        self._last, self._run = t[-1], int(runs[-1])
+        runs = self._run + np.cumsum(back | (np.diff(blocks, prepend=self._block) > 0))
+        self._last, self._run, self._block = t[-1], int(runs[-1]), blocks[-1]
         return np.asarray(runs)
 
 

@@ -59,7 +59,7 @@ CASES = Path(os.environ.get("HALLSYM_CASES", ROOT.parent / "shared" / "cases"))
 REAL = CASES.parent / "real"
 OTHER_NOISE = "meta.json states the noise of "
 """Of channels that the log does not have: the cases state it of all that their machines could have."""
-NO_RUNS = "No column 'run': a run begins where t_s starts again, the first is number 0."
+NO_RUNS = "No column 'run': a run begins where t_s starts again or text has an empty line or names again."
 
 
 @pytest.mark.slow

@@ -108,7 +108,8 @@ def test_csv_with_byte_order_mark_crlf_and_text_column(tmp_path: Path) -> None:
     log = read_log(path)
     assert log.columns == ("run", "t_s", "x_ref_m")
     assert log.array("x_ref_m").tolist() == [1.0, 2.0]
-    assert log.notes == ("No column 'run': a run begins where t_s starts again, the first is number 0.",)
+    said = "No column 'run': a run begins where t_s starts again or text has an empty line or names again."
+    assert log.notes == (said,)
     assert log.runs == (0,)
 
 
@@ -314,6 +315,26 @@ def test_a_run_begins_where_the_clock_starts_again(tmp_path: Path) -> None:
     late[20] = late[10]
     assert read_log({"t_s": late, "x_ref_m": late}).runs == (0,)
     assert read_log({"x_ref_m": t}).runs == (0,)
+
+
+@pytest.mark.parametrize(
+    ("between", "every", "runs"),
+    [
+        ("\n", 20, 5),
+        ("t_s,x_ref_um\n", 20, 5),
+        ("\n,\nt_s,x_ref_um\n", 20, 5),
+        ("\n", 1, 1),
+        ("# hot\n", 20, 1),
+    ],
+)
+def test_empty_lines_and_repeated_names_divide_runs(
+    tmp_path: Path, between: str, every: int, runs: int
+) -> None:
+    """Not where each line has an empty one below it; a clock that goes on tells nothing."""
+    rows = [f"{'' if k % every else between}{0.1 * k:.1f},{k}\n" for k in range(100)]
+    (tmp_path / "log.csv").write_text("".join(["t_s,x_ref_um\n", *rows]))
+    log = read_log(tmp_path / "log.csv")
+    assert (log.rows, log.runs) == (100, tuple(range(runs)))
 
 
 def test_runs_with_names_are_numbered_in_their_order(tmp_path: Path) -> None:
