@@ -48,11 +48,12 @@ _TABLE: tuple[tuple[str, str, float], ...] = (
     ("degc", "degc", 1.0), ("count", "count", 1.0),
 )  # fmt: skip
 UNITS: dict[str, Unit] = {name: Unit(name, si, factor) for name, si, factor in _TABLE}
-UNITS["k"] = Unit("k", "degc", 1.0, -273.15)
+UNITS |= {"k": Unit("k", "degc", 1.0, -273.15), "degf": Unit("degf", "degc", 5 / 9, -160 / 9)}
 _SYMBOLS = {
     "v": "V", "mv": "mV", "uv": "uV", "a": "A", "ma": "mA", "t": "T", "mt": "mT", "ut": "uT", "hz": "Hz",
     "gauss": "G",
     "khz": "kHz", "rad_s": "rad/s", "deg_s": "deg/s", "m_s": "m/s", "mm_s": "mm/s", "degc": "degC", "k": "K",
+    "degf": "degF",
 }  # fmt: skip
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"

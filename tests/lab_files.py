@@ -266,7 +266,8 @@ def row_per_value(file: Path, columns: Columns) -> None:
     t = columns.pop("time_s")
     rows = [f",{j},{t[k]:.9g},{','.join(name.partition('_')[::2])},{round(9 * x[k])},{x[k]:.10g},stage"
             for k in range(len(t)) for j, (name, x) in enumerate(columns.items())]  # fmt: skip
-    head = ",table,time_s,device,axis,raw value,value,_measurement"
+    head = ",table,time_s,device,AxisName,RawValue,VarValue,_measurement"
+    rows.append(f",0,{t[-1] + 1:.9g},$RT_OFF$,,0,0,stage")
     file.write_text("\n".join([head, *rows, ""]), encoding="utf-8")
 
 
@@ -277,6 +278,7 @@ def annotated_series(file: Path, columns: Columns) -> None:
             for j, (name, x) in enumerate(columns.items()) for k in range(len(t))]  # fmt: skip
     notes = ["#group,false,false,true,true,false,false,true,true",
              "#datatype,string,long,dateTime:RFC3339,dateTime:RFC3339,dateTime:RFC3339,double,string,string",
+             "#default,_result,,,,,,,",
              ",result,table,_start,_stop,_time,_value,_field,_measurement"]  # fmt: skip
     file.write_text("\n".join([*notes, *rows, ""]), encoding="utf-8")
 
@@ -722,8 +724,8 @@ def reading_buffer(file: Path, columns: Columns) -> None:
 
 
 def json_channels(file: Path, columns: Columns) -> None:
-    """An object for each channel, with its name and values."""
-    channels = [{"name": name, "data": x.tolist()} for name, x in columns.items()]
+    """An object for each channel, with its name, unit and values."""
+    channels = [{"name": name, "unit": unit, "data": x.tolist()} for name, unit, x in named(columns)]
     file.write_text(json.dumps({"header": {"sampleRate": 200}, "channels": channels}))
 
 
@@ -818,6 +820,7 @@ FILES: dict[str, LabFile] = {
     "a channel in each row": LabFile(one_run(knows(
         saved("buffer.csv", reading_buffer, ASIDE), t_s=Known("Relative Time", "s")))),
     "JSON, an object a channel": LabFile(timeless("channels.json", json_channels, ("--format", "json"))),
+    "JSON, an object a channel with its unit": LabFile(saved("daq.json", json_channels, ASIDE)),
     "segments of LabVIEW": LabFile(segments),
     "a file for each channel": LabFile(one_run(file_per_channel), "rotary"),
     "merged cells": LabFile(saved("merged.xlsx", merged_cells)),

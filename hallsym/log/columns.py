@@ -423,10 +423,9 @@ def is_moving(column: str) -> bool:
     return is_reading(column) or is_reference(column) or bool(_POSE.fullmatch(column))
 
 
-def has_meaning(column: str) -> bool:
-    """Say whether a column is one of a kind (`v_sin_v`, `x_ref_m`), so that it is not meant for another."""
-    alone = column in ("v_sin_v", "v_cos_v", "angle_rad")
-    return alone or is_reference(column) or bool(_POSE.fullmatch(column))
+def is_ours(column: str) -> bool:
+    """Say whether the name of a column is one of ours, so that it is meant for no other."""
+    return is_moving(column) or bool(quantity(split_unit(column)[0]))
 
 
 def limit_of(column: str) -> Limit | None:
@@ -444,7 +443,7 @@ _WORDS = {
     "min-1": "rpm", "r/min": "rpm", "m/s": "m_s", "mm/s": "mm_s", "counts": "count", "cts": "count",
     "inc": "count", "lsb": "count", "digit": "count", "digits": "count", '"': "arcsec", "″": "arcsec",
     "''": "arcsec", "arcseconds": "arcsec", "′": "arcmin", "arcminutes": "arcmin", "turn": "rev",
-    "turns": "rev", "umdr": "rev", "gon": "grad",
+    "turns": "rev", "umdr": "rev", "gon": "grad", "°f": "degf", "f": "degf",
     **{f"{prefix}{word}{end}": unit
        for word, si in {"meter": "m", "metre": "m", "radian": "rad", "second": "s", "volt": "v",
                         "ampere": "a", "tesla": "t"}.items()
@@ -465,6 +464,7 @@ _BEHIND = (
     re.compile(r"(?:(.*\S)\s+)?in\s+(\S+)"),
     re.compile(r"(.*\S),\s*(\S+)"),
     re.compile(r"(.*\S)_([µμ°]\S*)"),
+    re.compile(r"(.*\w)\.+(\w+)\."),  # brackets as R writes them
 )
 
 
@@ -485,7 +485,7 @@ def unit_of(text: str) -> str | None:
     ('um', 'deg', 'mv', None)
     """
     plain = unicodedata.normalize("NFKC", text).strip().replace("μ", "u").replace("º", "°")
-    plain = re.sub(r"(?i)(?:(?:unit|einheit)s?[:=]|\b(?:in|utc|unix)\b(?= *\w)) *", "", plain)
+    plain = re.sub(r"(?i)(?:(?:unit|einheit)s?[:=]|\b(?:in|utc|unix)\b(?= *\w)) *| since .*", "", plain)
     plain = re.sub(r"^[\[({<](.*)[\])}>]$", r"\1", plain).strip()
     if plain in _EXACT:
         return _EXACT[plain]

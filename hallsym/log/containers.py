@@ -42,7 +42,7 @@ def one_of(where: str, kind: str, tables: Mapping[str, Source], chosen: str | No
     same = defaultdict[frozenset[str], list[str]](list)
     for name, source in filled.items():
         same[frozenset(source.names)].append(name)
-    runs = max(same.values(), key=len)
+    runs = max(same.values(), key=lambda own: (len(own), len(tables[own[0]].names)))
     if len(runs) == 1 < len(filled):
         raise InputError(
             f"{where} has {len(filled)} {kind}s with cells ({few(list(filled), 20)}): say which one holds "

@@ -92,7 +92,7 @@ class CsvSource(Timed):
         readers, pieces, block, above = [self.reader(name) for name in asked], self._pieces(), 0, 0
         while some := [*islice(pieces, AT_ONCE)]:
             text, blocks = "".join(piece for piece, _ in some).encode(), []
-            for rows, divided in ((piece.count("\n"), divided) for piece, divided in some):
+            for rows, divided in ((piece.count("\n"), new) for piece, new in some if BLOCK in names):
                 block += divided and above >= SHORTEST_RUN
                 above = rows if divided else above + rows
                 blocks.append(np.full(rows, block))
@@ -102,7 +102,8 @@ class CsvSource(Timed):
             except arrow.ArrowInvalid as error:
                 raise first_fault(self, [*map(int, places)], error) from error
             columns = zip(asked, readers, table.columns, strict=True)
-            yield {name: array(column) for name, array, column in columns} | {BLOCK: np.concatenate(blocks)}
+            found = {name: array(column) for name, array, column in columns}
+            yield {**found, BLOCK: np.concatenate(blocks)} if blocks else found
 
     def _pieces(self) -> Iterator[tuple[str, bool]]:
         """Yield the clean lines from the first sample to the last one in pieces, and which begin a block."""
@@ -181,11 +182,15 @@ BESIDE = ("", " ")
 
 def dividing(dialect: Dialect) -> Callable[[str], list[str]]:
     """Return the division of lines at empty ones and at repeated names, which are left out."""
-    empty = rf"[ \t{re.escape(dialect.delimiter)}]*"  # a line of empty cells is empty too
-    one = f"(?:{'|'.join([empty, *map(re.escape, dialect.repeated)])})\n"
-    first, inside, each = re.compile(one), re.compile(f"\n{one}"), re.compile(f"^{one}", re.M)
-    # looking for one first is ten times as fast
-    return lambda lines: each.split(lines) if first.match(lines) or inside.search(lines) else [lines]
+    empty = rf"[ \t{re.escape(dialect.delimiter)}]*\n"  # a line of empty cells is empty too
+    first, inside, names = re.compile(empty), re.compile(f"\n{empty}"), dialect.repeated
+    each = re.compile("^(?:{})".format("|".join([empty, *(f"{re.escape(line)}\n" for line in names)])), re.M)
+
+    def divide(lines: str) -> list[str]:
+        any_of = first.match(lines) or inside.search(lines) or any(line in lines for line in names)
+        return each.split(lines) if any_of else [lines]  # looking for one first is ten times as fast
+
+    return divide
 
 
 def cleaning(dialect: Dialect) -> Callable[[str], str]:

@@ -1,4 +1,4 @@
-"""Arrays of MATLAB (v5 through scipy, v7.3 through h5py) and NumPy: at the top or in (nested) structs."""
+"""Arrays of MATLAB and NetCDF (old ones through scipy, HDF5 through h5py), in structs too, and of NumPy."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import os
 import struct
 import zlib
 from collections.abc import Collection, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 from hallsym.errors import quoted
 from hallsym.log.format_hdf5 import open_hdf5
 from hallsym.log.table import Source
-from hallsym.log.vectors import Stored, arranged
+from hallsym.log.vectors import Stored, arranged, unit_in, unpacked_by
 from hallsym.units import Array
 
 
@@ -22,15 +23,37 @@ def open_mat(path: Path, clock: str | None = None) -> Source:
     """Open a MATLAB file of either kind; `clock`: as `GroupedSource` reads it."""
     from scipy.io import loadmat, whosmat
 
-    with open(path, "rb") as stream:
-        head = stream.read(520)
-    if b"\x89HDF\r\n\x1a\n" in (head[:8], head[512:]):  # of v7.3, behind a header of 512 bytes or not
+    if _is_hdf5(path):
         return open_hdf5(path, clock, "MATLAB", ".")
     _check_compressed(path)
     logical = {name for name, _, kind in whosmat(path) if kind == "logical"}
     content = loadmat(path, simplify_cells=True)
     arrays = {k: np.asarray(v) for k, v in _flatten({k: v for k, v in content.items() if k[:2] != "__"}, "")}
     return _table(path, "MATLAB", arrays, clock, logical)
+
+
+def open_netcdf(path: Path, clock: str | None = None) -> Source:
+    """Open a NetCDF file of either kind; `clock`: as `GroupedSource` reads it."""
+    from scipy.io import netcdf_file
+
+    if _is_hdf5(path):
+        return open_hdf5(path, clock, "NetCDF")
+    with netcdf_file(path, mmap=False) as file:
+        arrays = {
+            name: Stored(
+                one.shape, one.data.dtype, partial(lambda values, *_: values, one.data),
+                unit_in(one._attributes), unpacked=unpacked_by(one._attributes),
+            )
+            for name, one in file.variables.items()
+        }  # fmt: skip
+    return arranged(quoted(path), "NetCDF", arrays, {}, ".", clock)
+
+
+def _is_hdf5(path: Path) -> bool:
+    """Say whether a file is one of HDF5; that of MATLAB has a header of 512 bytes before it."""
+    with open(path, "rb") as stream:
+        head = stream.read(520)
+    return b"\x89HDF\r\n\x1a\n" in (head[:8], head[512:])
 
 
 def open_numpy(path: Path, clock: str | None = None) -> Source:

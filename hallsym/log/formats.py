@@ -29,7 +29,7 @@ from hallsym.log.containers import open_sqlite, unpacked
 from hallsym.log.core import Log
 from hallsym.log.format_csv import CsvSource
 from hallsym.log.format_hdf5 import open_hdf5
-from hallsym.log.format_mat import open_mat, open_numpy
+from hallsym.log.format_mat import open_mat, open_netcdf, open_numpy
 from hallsym.log.format_mcap import open_mcap
 from hallsym.log.format_mdf import open_mdf
 from hallsym.log.format_parquet import open_feather, open_json, open_parquet
@@ -72,6 +72,7 @@ FORMATS = (
     Format("json", (".json",), open_json, "JSON", found=False),  # beside a log it says what that is
     Format("hdf5", (".h5", ".hdf5"), partial(Isolated, open_hdf5), "HDF5", ("clock",)),
     Format("mat", (".mat",), partial(Isolated, open_mat), "MATLAB", ("clock",)),
+    Format("netcdf", (".nc", ".cdf"), partial(Isolated, open_netcdf), "NetCDF", ("clock",)),
     Format("npz", (".npz", ".npy"), open_numpy, "NumPy", ("clock",)),
     Format("xlsx", (".xlsx", ".xlsm", ".xls", ".ods"), open_workbook, "workbook", ("sheet", "decimal")),
     Format("sqlite", (".sqlite", ".sqlite3", ".db"), open_sqlite, "SQLite", ("sheet",)),
@@ -309,7 +310,9 @@ def files_of(path: str | Path) -> list[Path]:
             path = unpacked(path, suffixes, path.stat().st_mtime_ns)
     if path.is_dir():
         logs = [path / f"log{suffix}" for suffix in suffixes if (path / f"log{suffix}").is_file()]
-        found = logs[:1] or _of_one_kind(path.iterdir(), suffixes) or _of_one_kind(path.glob("*/*"), suffixes)
+        here, below = (_of_one_kind(path.glob(inside), suffixes) for inside in ("*", "*/*"))
+        own = len({file.name for file in below}) == 1 < len(below) and len(here) < 2  # beside a note
+        found = logs[:1] or (below if own else here or below)
     elif glob.has_magic(str(path)) and not path.exists():
         found = [Path(name) for name in glob.glob(str(path)) if Path(name).is_file()]
     else:

@@ -13,6 +13,7 @@ from hallsym.errors import InputError
 from hallsym.log.columns import (
     RUN,
     RUN_WORDS,
+    WORDS,
     T,
     is_run_word,
     is_time_word,
@@ -23,7 +24,7 @@ from hallsym.log.columns import (
 from hallsym.log.groups import Group, GroupedSource
 from hallsym.log.pace import Paced
 from hallsym.log.table import Arrays, Source
-from hallsym.log.text.cells import MISSING, POINT, as_float, is_number
+from hallsym.log.text.cells import MISSING, POINT, as_float, is_number, is_unit_row
 from hallsym.units import UNITS, Array, split_unit
 
 _FEW = 50
@@ -211,7 +212,7 @@ def by_signal(source: Source, where: str) -> Source:
     """
     if not (2 if source.pace else 3) <= len(source.names) <= MOST_NAMES:
         return source
-    words = {name: re.findall(r"[^\W_\d]+", split_header(name)[0].lower()) for name in source.names}
+    words = {name: [w.lower() for w in WORDS.findall(split_header(name)[0])] for name in source.names}
     numeric = source.typed or all(any(map(is_number, cells)) for cells in _head(source).values())
     if numeric and not any(LABELS.fullmatch(word) for own in words.values() for word in own):
         return source  # without more rows: no column can be one of names
@@ -224,13 +225,15 @@ def by_signal(source: Source, where: str) -> Source:
     free = [n for n in others if not (_steps(head[n]) == 1).all()]  # no number of the row
     said = [n for n in free if any(map(LABELS.fullmatch, words[n]))]
     names = [n for n in head if kinds[n] > 1 and n in (*texts, *said)]
-    if not names and len(free) == 1:  # one signal after the other
-        kinds |= {n: len(set(source.labels(n))) for n in texts}
+    if not names and (len(free) == 1 or any(VALUES.fullmatch(word) for n in free for word in words[n])):
+        whole = {n: tuple(source.labels(n)) for n in texts}  # one signal after the other
+        kinds |= {n: len(set(cells)) for n, cells in whole.items()}
         names = [n for n in texts if kinds[n] > 1]
+        head = {n: whole.get(n) or tuple(source.labels(n)) for n in head} if names else head
     if not names:
         return source
     stamps = stamps or [n for n in free if (_steps(head[n]) >= 0).all()][:1]
-    of_units = next((n for n in texts if "unit" in n.lower() and all(map(unit_of, head[n]))), None)
+    of_units = next((n for n in texts if "unit" in n.lower() and is_unit_row([*{*head[n]}])), None)
     names = sorted((n for n in names if n != of_units), key=lambda n: (n not in texts, -kinds[n])) or names
     keys = names[:1]
     for n in names[1:]:  # device and axis: words that go with a name, or each of which has them all
@@ -254,7 +257,7 @@ def by_signal(source: Source, where: str) -> Source:
         return source
     beside = {n: n if _is_clock(source, n) else T for n in stamps[:1]} | dict.fromkeys(runs, RUN)
     data, mine = source.read([*beside, value]), {label: labels == label for label in signals}
-    times = [data[stamps[0]][own] for own in mine.values()] if stamps else []
+    times = [data[stamps[0]][own] for own in mine.values() if own.sum() > 1] if stamps else []
     if times and max(map(np.min, times)) > min(map(np.max, times)):
         return source  # devices one after the other
     cells = source.texts(of_units) if of_units and of_units not in varying else None

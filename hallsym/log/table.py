@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, few, nearest
-from hallsym.log.columns import RUN, Binding, Foreign, has_meaning, is_run_word, numbers_runs
+from hallsym.log.columns import RUN, Binding, Foreign, is_ours, is_run_word, numbers_runs
 from hallsym.log.text.cells import is_number
 from hallsym.units import Array, split_unit
 
@@ -265,8 +265,9 @@ class Table:
                     f"The unit of {split_unit(name)[0]} of {self.where} must be chosen: remove the # before"
                     f" {' or '.join(dict.fromkeys(choices))} in the column file."
                 )
-            sure = has_meaning(name)  # then no other column of a kind is meant for it
-            others = [c for c in self.columns if not (sure and has_meaning(c))]
+            own = {b.source for b in self.bindings.values() if b.asked or is_ours(b.name)}
+            free = [c for c in self.source.names if c not in own]  # a column of a kind is meant for no other
+            others = free if is_ours(name) else list(self.columns)
             has = few(self.source.names, 20) or "no numeric columns"
             raise InputError(
                 f"{self.where} has no column {name}{nearest(name, others)}; it has {has}; a column under "

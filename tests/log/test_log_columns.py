@@ -23,6 +23,7 @@ from hallsym.units import split_unit
         ("rx_arcsec", 3600.0, "rx_rad", np.pi / 180),
         ("speed_rpm", 60.0, "speed_rad_s", 2 * np.pi),
         ("temperature_k", 293.15, "temperature_degc", 20.0),
+        ("Temp (F)", 68.0, "Temp_degc", 20.0),
         ("v_sin_mv", 5.0, "v_sin_v", 5e-3),
         ("hall_a_count", 7.0, "hall_a_count", 7.0),
         ("hall_a_mt", 7.0, "hall_a_t", 7e-3),
@@ -148,5 +149,9 @@ def test_unknown_run_and_column_name_what_there_is() -> None:
         log.run(9)
     with pytest.raises(InputError, match=r"no column x_rf_m.*did you mean 'x_ref_m'"):
         log.array("x_rf_m")
+    named = read_log({"t_s": np.zeros(2), "x1_col_1_v": np.zeros(2), "Sinus [mV]": np.zeros(2)})
+    for ours, near in (("x1_col_0_v", ""), ("v_sin_v", r" \(did you mean 'Sinus'\?\)")):
+        with pytest.raises(InputError, match=f"no column {ours}{near}; it has"):
+            named.array(ours)
     with pytest.raises(ValueError, match="read-only"):
         log.array("x_ref_m")[0] = 1.0

@@ -172,6 +172,26 @@ def test_what_attributes_and_texts_of_hdf5_say(tmp_path: Path) -> None:
     assert {"hall/Data_0", "hall/Data_2", "tilt/Data_0"} <= {*log.table.source.names}
 
 
+def test_netcdf_of_both_kinds(tmp_path: Path) -> None:
+    from scipy.io import netcdf_file
+
+    with netcdf_file(tmp_path / "old.nc", "w") as out, h5py.File(tmp_path / "new.nc", "w") as new:
+        out.createDimension("time", 3)
+        for name, unit, values in (
+            ("time", "seconds since 2026-03-02", [0, 1, 2]),
+            ("x_ref", "mm", [4, 5, 6]),
+        ):
+            out.createVariable(name, "i", ("time",))[:] = new[name] = values
+            out.variables[name].units = new[name].attrs["units"] = unit
+        out.variables["x_ref"].scale_factor = new["x_ref"].attrs["scale_factor"] = 0.5
+    for name in ("old.nc", "new.nc"):
+        log = read_log(tmp_path / name, columns={"t": "time"})
+        assert (log.array("t_s").tolist(), log.array("x_ref_m").tolist()) == ([0, 1, 2], [2e-3, 2.5e-3, 3e-3])
+    (tmp_path / "old.nc").write_bytes((tmp_path / "old.nc").read_bytes()[:-30])
+    with refusal("must be a complete NetCDF file"):
+        read_log(tmp_path / "old.nc")
+
+
 def test_vector_of_another_length_is_named_when_needed(tmp_path: Path) -> None:
     savemat(tmp_path / "a.mat", {"x_ref_m": np.zeros(5), "y_ref_m": np.zeros(5), "hall_a_m": np.zeros(7)})
     with refusal(r"no time base and 7 values where the others have 5"):
@@ -223,6 +243,7 @@ def test_a_table_of_a_database_is_a_log(tmp_path: Path) -> None:
     import sqlite3
 
     with contextlib.closing(sqlite3.connect(tmp_path / "log.sqlite")) as base:
+        base.execute("CREATE TABLE gains (gain REAL)")
         base.execute("CREATE TABLE samples (t_s REAL, x_ref_um REAL, note TEXT)")
         base.executemany("INSERT INTO samples VALUES (?, ?, 'ok')", [(0.1 * k, k) for k in range(50)])
         base.commit()
@@ -234,11 +255,10 @@ def test_a_table_of_a_database_is_a_log(tmp_path: Path) -> None:
         log = read_log(tmp_path / "log.sqlite")
         assert log.rows == 50
         assert any("table notes is not read" in note for note in log.notes)
-        base.execute("CREATE TABLE gains (gain REAL)")
         base.execute("INSERT INTO gains VALUES (1.5)")
         base.commit()
     with pytest.raises(
-        InputError, match=r"2 tables with cells \(samples, gains\): say which .* --sheet samples"
+        InputError, match=r"2 tables with cells \(gains, samples\): say which .* --sheet samples"
     ):
         read_log(tmp_path / "log.sqlite")
     assert read_log(tmp_path / "log.sqlite", sheet="samples").rows == 50
@@ -254,6 +274,11 @@ def test_files_are_runs_in_natural_order_and_notes_are_none(tmp_path: Path) -> N
     for k in (10, 2):
         (tmp_path / f"scan_{k}.csv").write_text("x_ref_um\n1\n2\n")
     assert read_log(str(tmp_path / "scan_*.csv")).runs == (2, 10)
+    for name in ("a/data.csv", "b/data.csv"):
+        (tmp_path / "below" / name).parent.mkdir(parents=True)
+        (tmp_path / "below" / name).write_text("x_ref_um\n1\n2\n")
+    (tmp_path / "below" / "README.txt").write_text("Two runs.\n")
+    assert read_log(tmp_path / "below").runs == (0, 1)
     with pytest.raises(InputError, match="same columns to be runs; scan_2 and monday differ in x_ref"):
         read_log(tmp_path)
 

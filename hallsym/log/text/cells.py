@@ -12,7 +12,7 @@ from hallsym.log.columns import LONGEST_UNIT, NO_UNIT, UNITS_AS_WRITTEN, unit_of
 
 MISSING = (
     "", "nan", "NaN", "NAN", "-nan", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "-", "--", "---",
-    "-nan(ind)", "1.#QNAN", "-1.#IND", "1,#QNAN", "-1,#IND",
+    "-nan(ind)", "1.#QNAN", "-1.#IND", "1,#QNAN", "-1,#IND", "∞", "-∞",
 )  # fmt: skip
 """Cells without a value: empty ones, and what programs write for no number."""
 _INFINITE = r"[-+]?(?:inf|infinity)"

@@ -12,7 +12,7 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import groupby
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -183,7 +183,8 @@ class Split:
         """What each name is one of, by a row above the names in which the same words stand side by side."""
         row = self.rows[self.top - 1] if self.top > 0 else []
         spans = [word for word, _ in groupby(row)]
-        several = len({*spans} - {""}) > 1 and len({*spans}) == len(spans) < len(row) == self.width
+        side = any(word and word == after for word, after in pairwise(row))
+        several = side and len({*spans} - {""}) > 1 and len({*spans}) == len(spans) and len(row) == self.width
         return [] if not several or any(map(is_number, row)) or is_unit_row(row) else row
 
     def is_transposed(self, rows: Sequence[Sequence[str]]) -> bool:
