@@ -59,7 +59,7 @@ from hallsym.report.results.info import (
 from hallsym.report.words import number
 from hallsym.simulation import read_campaign
 from hallsym.trajectory import is_curve, read_curve
-from hallsym.units import readable, si_name
+from hallsym.units import readable, si_name, split_unit
 
 COLUMN_FILE = "columns.toml"
 
@@ -189,7 +189,7 @@ def _short(cell: str) -> str:
 
 
 def _write(options: Namespace) -> int:
-    from hallsym.families.suggest import suggest
+    from hallsym.families.suggest import likeness, suggest
 
     _, folder, source, where = _opened(options)
     described = folder is not None and (folder / "meta.json").exists()
@@ -227,6 +227,12 @@ def _write(options: Namespace) -> int:
         notes = [f"{unknown}: {remedy}."]
     elif found.lacking:
         notes.append(f"no column is like {', '.join(found.lacking)}; name theirs in {options.write}.")
+        stems = [split_unit(column)[0] for column in found.lacking]
+        for name in (n for n in found.rest if any(likeness(stem, n) for stem in stems)):
+            try:
+                source.read([name])
+            except InputError as error:
+                notes.append(str(error))
     answer = f"{check}."
     blocks = [*_head(source), "", *text.split("\n")]
     say(

@@ -6,6 +6,7 @@ A suggestion is written for a person to confirm; nothing of it is applied.
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
@@ -68,10 +69,11 @@ def words_of(name: str, *, unit: bool = False) -> frozenset[str]:
     found = [word for part in WORDS.findall(plain) for word in _apart(part.lower())]
     if unit and len(found) > 1 and found[-1] in UNITS and len(found[-1]) > 1:
         found = found[:-1]
-    words = {_WORDS.get(word, word) for word in found} - _IDLE
+    words = {_WORDS.get(word, word) for word in found if not word.isdecimal()} - _IDLE
+    words |= {numbers} if (numbers := "_".join(filter(str.isdecimal, found))) else {*()}
     for axis in "xyz":
-        if {ANGLE, axis} <= words:
-            words = words - {ANGLE, axis} | {f"r{axis}"}
+        if axis in words and words & {ANGLE, "tilt"}:
+            words = words - {ANGLE, "tilt", axis} | {f"r{axis}"}
     return frozenset(words)
 
 
@@ -103,11 +105,11 @@ def _sizes_in(facts: Mapping[str, str]) -> list[tuple[float, str, str]]:
 
 
 def _apart(word: str) -> tuple[str, ...]:
-    """Return the words of one that is written with the letter of its axis or channel: xlaser, halla."""
-    for letter, rest in ((word[:1], word[1:]), (word[-1:], word[:-1])):
-        if letter in "abcxyz" and word not in _WORDS and _WORDS.get(rest) in (REF, READING) and len(rest) > 2:
-            return letter, rest
-    return (word,)
+    """Return the words of one that is written with its axis or channel: xlaser, halla, rzref."""
+    axis = r"(r[xyz]|[abcxyz])"
+    found = re.fullmatch(f"{axis}(..+)", word) or re.fullmatch(f"(..+?){axis}", word)
+    parts = found.groups() if found and word not in _WORDS else ()
+    return parts if {_WORDS.get(part) for part in parts if len(part) > 2} & {REF, READING} else (word,)
 
 
 _KINDS = frozenset({REF, READING, "col"})
@@ -476,19 +478,36 @@ def _likeliest(pairs: Iterable[tuple[float, str, str]]) -> list[tuple[float, str
     return found
 
 
+def _from_zero(names: Iterable[str], stems: Sequence[str]) -> dict[str, str]:
+    """Return names whose numbers count from 0 on in the place of those from 1 on, where ours do.
+
+    >>> _from_zero(["X1 col 1", "X1 col 2"], ["x1_col_0", "x1_col_1"])
+    {'X1 col 1': 'X1 col 0', 'X1 col 2': 'X1 col 1'}
+    """
+    found = {name: name for name in names}
+    sets = defaultdict[tuple[str, str], dict[int, str]](dict)
+    for name in found:
+        for digits in re.finditer(r"\d+", name):
+            sets[name[: digits.start()], name[digits.end() :]][int(digits[0])] = name
+    for (before, behind), own in sets.items():
+        if 1 < len(own) == max(own) and any(likeness(s, f"{before}0{behind}") == FULL for s in stems):
+            found |= {name: f"{before}{number - 1}{behind}" for number, name in own.items()}
+    return found
+
+
 def _matched(source: Source, data: Mapping[str, Array], model: Model) -> list[tuple[float, str, str]]:
     """Return how well our stems and the file's names go together (score, stem, name), each once."""
     stems = _stems(model)
     paths = {name: path for path, name in source.aliases.items()}  # Hall/A
     own = {name: o if (o := _own(name)) in (RUN, TIME, *stems, *OTHERS) else "" for name in data}
-    series, pairs = _places(_series(data), model), []
+    series, pairs, called = _places(_series(data), model), [], _from_zero(data, stems)
     for stem in (TIME, *stems, *OTHERS):
         for name, values in data.items():
             if own[name] not in ("", stem, stem.removesuffix("_ref")):
                 continue  # a name of ours is not another one of ours
             if stem == TIME and not _is_clock(values):
                 continue
-            like = max(likeness(stem, name), likeness(stem, paths.get(name, name)))
+            like = max(likeness(stem, called[name]), likeness(stem, paths.get(name, name)))
             fits = _unit_fits(source, name, stem, model)
             if name in series and stem in stems and not own[name]:
                 like = NUMBERED if series[name] == stem else 0.0

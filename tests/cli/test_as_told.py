@@ -99,3 +99,14 @@ def test_two_files_have_the_clock_for_which_their_columns_were_named(capsys, mon
     draft = (tmp_path / "columns.toml").read_text().replace("u1_mV", "u1").replace("u2_mV", "u2")
     (tmp_path / "columns.toml").write_text(draft)
     assert main([*words, "--solver", "direct"]) != BAD_INPUT
+
+
+def test_a_column_that_is_missed_is_said_to_hold_words(capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    rows = [f"{k},{np.sin(0.1 * k):.6f},{np.cos(0.1 * k):.6f},{0.1 * k:.6f}" for k in range(200)]
+    rows[70] = "70,OVLD,0.75,7.0"
+    (tmp_path / "log.csv").write_text("\n".join(["t_ms,Sin [V],Cos [V],Angle [rad]", *rows, ""]))
+    assert main(["info", "log.csv", "--model", "rotary", "--write"]) == OK
+    said = " ".join(capsys.readouterr().out.split())
+    assert "no column is like v_sin_v; name theirs in columns.toml" in said
+    assert "Line 72, column 'Sin' of log.csv must be a number; it is 'OVLD'" in said

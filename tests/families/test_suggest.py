@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -80,12 +81,20 @@ def test_numbered_readings_of_any_name_are_the_channels_in_order(columns: dict[s
     ]
 
 
-@pytest.mark.parametrize(("x", "yaw"), [("Réf X", "Lacet"), ("Xref", "Guiñada Rz"), ("干渉計X", "ヨー角Rz")])
+@pytest.mark.parametrize(
+    ("x", "yaw"), [("Réf X", "Lacet"), ("Xref", "Guiñada Rz"), ("IfmX", "Rzref"), ("干渉計X", "ヨー角Rz")]
+)
 def test_names_in_other_languages_and_the_last_reference_of_a_unit(
     columns: dict[str, np.ndarray], x: str, yaw: str
 ) -> None:
-    made = found(guessed(columns, x_ref_m=(f"{x} [um]", 1e6), rz_ref_rad=(f"{yaw} [urad]", 1e6)))
+    names = {
+        "x_ref_m": (f"{x} [um]", 1e6),
+        "rz_ref_rad": (f"{yaw} [urad]", 1e6),
+        "rx_rad": ("TiltX_mrad", 1e3),
+    }
+    made = found(guessed(columns, **names))
     assert (made["x_ref"], made["rz_ref"]) == ((x, "um", 1), (yaw, "urad", 1))
+    assert made["rx"] == ("TiltX_mrad", "mrad", 1)
 
 
 def test_what_a_file_says_of_its_counts_is_their_scale_and_samples_may_stand_twice(tmp_path: Path) -> None:
@@ -113,6 +122,13 @@ def test_numbered_sums_are_as_many_columns_of_an_array() -> None:
     made = suggest(open_source({"X_laser_um": 1e6 * x, "gap_um": 1e6 * z, **waves})[2])
     assert made.model.name == "halbach"
     assert [found(made)[f"col_{k}"] for k in range(5)] == [(f"H{k + 1:02d}", "mv", 1) for k in range(5)]
+
+
+def test_numbers_of_readings_count_from_one_where_ours_count_from_zero() -> None:
+    model = hallsym.build("halbach_planar")
+    names = [re.sub(r"\d+_v", lambda n: f" {int(n[0][:-2]) + 1} [mV]", c) for c in model.channels]
+    made = suggest(open_source({n: np.sin(k + RAMP) for k, n in enumerate(names)})[2], model.name)
+    assert [found(made)[c[:-2]][0] for c in model.channels] == [n[:-5] for n in names]
 
 
 @pytest.mark.parametrize(
