@@ -77,8 +77,6 @@ class Policy:
     rail_repeats: int = 4
     """Times that a channel must take its very highest or lowest value for that to be a rail. A turning
     point may fall on one step of the converter two or three times."""
-    most_refits: int = 6
-    """Effects refitted exactly in one step. Cost: a refit takes about five passes over the log."""
     starts: int = 3
     """Starts refitted of an effect whose numbers were searched on a grid. The score of one grid point,
     such as a rail, is a poor predictor of the result of a refit."""

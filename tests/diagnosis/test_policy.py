@@ -305,7 +305,6 @@ CHANGES: dict[str, tuple[float, Callable[[Policy], Any]]] = {
     "worth_reporting": (0.2, of_setup(lambda setup: setup.threshold)),
     "holdout_every": (3, lambda policy: prepare(runs_of(8), "ellipse", policy=policy).holdout),
     "rail_repeats": (1, of_base(lambda base, runs: facts_of(base, survey(base, runs)).rails)),
-    "most_refits": (1, refits),
     "starts": (1, refits),
     "as_good": (1.0, lambda policy: first(policy, -75.0)),
     "separated": (1.0, not_told_apart),
