@@ -26,9 +26,9 @@ class Policy:
     and of the gap; of an excess, of the largest wave, of a noise floor. Below the 5 % that are worth
     reporting. A noise floor from 560 samples at rest is known to 3 %."""
     minor: float = 0.1
-    """Share up to which a part is minor: of the excess that named effects leave open in a gap that is
-    explained; of the threshold that a smaller finding is worth; by which a steady line scatters less than the
-    rest of a spectrum; of the error rate, for a test beside that by signs (by the noise)."""
+    """Share up to which a part is minor: of the excess that named effects leave open, for no word on it; of
+    the threshold that a smaller finding is worth; by which a steady line scatters less than the rest of a
+    spectrum; of the error rate, for a test beside that by signs (by the noise)."""
     half: float = 0.5
     """Part above which something is the larger one: of the threshold, that a refit must keep of its score; of
     what a parameter alone makes, that the others must leave; of far samples that have others around them; of
