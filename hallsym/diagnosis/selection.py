@@ -206,11 +206,15 @@ def moved(fit: Refitted, by: np.ndarray) -> float:
 
 
 def select(setup: Setup) -> "Selection":
-    """Add effects while they lower the gap metric by the threshold; then refit the rivals of each."""
+    """Add effects while they lower the gap metric by the threshold; then test each against the catalogue.
+
+    Where an effect is replaced, the catalogue is tested again on the new residual.
+    """
     start = refit(setup.base, setup.runs)
     search = Selection(setup, start, start, {(): start})
     search.grow()
-    search.reconsider()
+    if search.reconsider():
+        search.grow()
     if setup.base.sliced:
         search.confirm()
     elif search.last is None:
@@ -368,14 +372,19 @@ class Selection:
         new = [n for n in exact.fit.base.model.names if n not in known]
         return lower and not cancels(exact.fit, new)
 
-    def reconsider(self) -> None:
-        """Refit the rivals of each effect but the last, which were, with the other effects in place."""
+    def reconsider(self) -> bool:
+        """Test each effect but the last, which was, with the others in place; return whether one is replaced.
+
+        So the rivals of each, with which it may be confusable, are refitted with the others in place too.
+        """
+        before = [e.name for e in self.effects]
         for k, effect in enumerate(self.effects[:-1]):
             if self.over(more=True):
                 break
-            for e in (exact := self.step(self.without(effect))):
-                if e.name == effect.name:
-                    self.effects[k] = replace(e, rivals=tuple(r for r in exact if r is not e))
+            if exact := self.step(self.without(effect)):
+                self.effects[k] = replace(exact[0], rivals=tuple(exact[1:]))
+                self.fit = self.without()  # with the effects in their order, as the next command fits them
+        return [e.name for e in self.effects] != before
 
     def confirm(self) -> None:
         """For slices of one recording, test the effects again by the autocorrelation of the final residual.
