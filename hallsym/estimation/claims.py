@@ -215,7 +215,7 @@ def _listed(texts: Sequence[str]) -> str:
 
 WIDE = tuple(10.0**n for n in (-5, -3, -1, 1, 3, 5))
 """Scales that are tried first; those within two decades of the best follow, and of a better one."""
-STEPS = {"delay": (-24, -6, -1, 1, 6, 24), "averaged": (2, 6, 16)}
+STEPS = {"delay": (-24, -12, -6, -1, 1, 6, 12, 24), "averaged": (2, 6, 16)}
 """Samples of delays and of centred means that are tried before those between them and the best."""
 
 
@@ -446,12 +446,21 @@ class Tried:
     model: Model
     log: Log
 
+    def __post_init__(self) -> None:
+        """Raise `LinAlgError` where the noise is beyond numbers."""
+        self.cost.at(self.p)
+
+    @property
+    def squares(self) -> np.ndarray:
+        """Squares of the whitened residual by run; rounding leaves some below 0 of numbers out of range."""
+        return np.abs(self.cost.at(self.p).run_values)
+
     @cached_property
     def left(self) -> dict[int, float]:
         """Mean square of the whitened residual by run: 1 is noise; none where the noise is beyond numbers."""
         counts = self.cost.summary.counts * len(self.model.channels)
         try:
-            values = self.cost.at(self.p).run_values / np.maximum(counts - len(self.model.offsets), 1.0)
+            values = self.squares / np.maximum(counts - len(self.model.offsets), 1.0)
         except np.linalg.LinAlgError:
             return {}
         return dict(zip(self.cost.summary.runs, values.tolist(), strict=True))
@@ -464,7 +473,7 @@ class Tried:
         """
         point, summary, K = self.cost.at(self.p), self.cost.summary, len(self.model.channels)
         _, size = np.linalg.slogdet(point.covariance)
-        values = point.run_values / np.maximum(summary.counts, 1.0) + size
+        values = self.squares / np.maximum(summary.counts, 1.0) + size
         for one in self.corrections:
             readings = sum(c in self.model.channels for c in one.columns)
             values = values - 2 * np.log(abs(one.mistake.factor(one))) * readings
@@ -1251,13 +1260,9 @@ def _coarse(trials: Trials, runs: Sequence[int]) -> Iterator[Correction]:
     some = np.isin(trials.run, list(runs))
     for c in filter(is_moving, trials.columns):
         values = np.unique(trials.full[c][some])
-        step = _step_between(values) if len(values) < some.sum() / AGAIN else None
+        step = _step_between(values) if len(values) < some.sum() else None  # of constant speed each is once
         if step is not None and step > trials.noise[c].value:
             yield Correction("coarse_steps", (c,), (step,))
-
-
-AGAIN = 2
-"""Samples of each value, at least, of a column that comes in steps: one of constant speed holds each once."""
 
 
 def _steps(trials: Trials, tried: Tried, runs: Sequence[int], *, within: bool) -> Iterator[Correction]:

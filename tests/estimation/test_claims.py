@@ -282,6 +282,20 @@ def test_an_ellipse_longer_than_any_encoder_makes_is_claimed_with_its_scale(by, 
         assert fit(log, "rotary", solver="direct", corrections=[claim.correction]).claims == ()
 
 
+@pytest.mark.parametrize(
+    "case",
+    [
+        "reading 20 samples off, run/stage31/3622.0",  # a third of the run
+        "reference of 5 bits, run/chip/3622.0",  # a fifth of the values more than once
+        "two references exchanged, run/halbach/3624.0",  # fields of a height that no float64 holds
+    ],
+)
+def test_a_mistake_of_one_run_that_its_samples_hardly_show_is_named(case):
+    wrong = mistaken(*case.rsplit("/", 2))
+    (claim,) = mistakes_of(wrong.recording.log, wrong.recording.built)
+    assert claim.correction in wrong.right
+
+
 def test_an_angle_in_volts_is_named_with_its_scale():
     rng, t = np.random.default_rng(0), np.arange(600) * 2e-3
     turn = 8.0 * t
