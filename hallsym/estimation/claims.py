@@ -964,9 +964,14 @@ def _closest(shares: Mapping[Correction, float]) -> Iterator[list[Correction]]:
     """Yield the best corrections of the `CLOSEST` best groups of columns of each kind, the best first.
 
     Delays either way are two kinds: at constant speed what is early by a part of a turn is late by the rest.
+    Of scales that a free gain makes up for, a unit comes first.
     """
+
+    def order(c: Correction) -> tuple[float, bool, float]:
+        return float(f"{shares[c]:.2g}"), not c.unit, shares[c]
+
     kinds: dict[tuple[str, bool], dict[tuple[str, ...], list[Correction]]] = {}
-    for c in sorted((c for c in shares if shares[c] < 1), key=shares.__getitem__):
+    for c in sorted((c for c in shares if shares[c] < 1), key=order):
         late = c.kind == "delay" and c.numbers[0] > 0
         kinds.setdefault((c.kind, late), {}).setdefault(c.columns, []).append(c)
     for groups in kinds.values():
