@@ -30,11 +30,13 @@ class Policy:
     the threshold that a smaller finding is worth; by which a steady line scatters less than the rest of a
     spectrum; of the error rate, for a test beside that by signs (by the noise)."""
     half: float = 0.5
-    """Part above which something is the larger one: of the threshold, that a refit must keep of its score; of
-    what a parameter alone makes, that the others must leave; of far samples that have others around them; of
-    the best effect's gain, for an effect to be refitted exactly; of a curve that one sensor makes if named;
-    of an error, for the reference to be blamed for it; of the variance of the noise, for an error beyond it
-    to stay open in a gap that is explained (1.22 x the floor). A majority."""
+    """Part above which something is the larger one: of the threshold, for a first, certain effect to be
+    taken up, and that a refit must keep of its score; of what a parameter alone makes, that the others
+    must leave; of far samples that have others around them; of the best effect's gain, for an effect to
+    be refitted exactly; of a curve that one sensor makes if named; of an error, for the
+    reference to be blamed for it; of the variance of the noise, for an error beyond it to stay open in a gap
+    that is explained (1.22 x the floor). A majority. An effect may be worth
+    twice as much on the holdout runs, which decide."""
     fewest: int = 6
     """Fewest runs, or units of time, whose scatter is used: for an interval of the shrinkage, sign flips,
     a single run among others, pieces of a short recording. With 6 of them Student's interval is 2.6

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -49,7 +50,8 @@ def refitted(
     from at most `Policy.starts` starts. Refits of the screen are reused.
     """
     policy, scored = base.policy, screen.scores
-    named = [s for s in by_name(scored) if not s.absorbed]
+    # an effect goes by the best of its variants that are worth it: one with more numbers may be less certain
+    named = [s for s in by_name(sorted(scored, key=lambda s: not worth(s))) if not s.absorbed]
     least = policy.half * max((s.gain for s in named if worth(s)), default=np.inf)
     out: list[Exact] = []
     for first in [s for s in named if s.gain >= least and s.ratio < 1]:
@@ -99,7 +101,10 @@ def _simpler(e: Exact, best: Exact, scored: Sequence[Score]) -> bool:
         and e.bic - best.bic <= policy.negligible * best.score.gain
         and e.fit.metric <= best.fit.metric * (1 + policy.negligible)
         and not any(
-            s.effect is best.score.effect and s.size <= e.score.size and s.bic <= e.score.bic + policy.as_good
+            s.effect is best.score.effect
+            and s.size <= e.score.size
+            and s.gain >= (1 - policy.negligible) * e.score.gain
+            and s.bic <= e.score.bic + policy.as_good
             for s in scored
         )
     )
@@ -291,16 +296,23 @@ class Selection:
             if self.screened and self.over(more=True):
                 self.last = []
                 break
-            exact = self.step(self.fit, self.worth)
-            if not exact or not self.worth(exact[0].score):
+            worth = partial(self.worth, beside=count)
+            exact = self.step(self.fit, worth)
+            if not exact or not worth(exact[0].score):
                 self.last = self.screened[-1].scores
                 break
             self.effects.append(replace(exact[0], rivals=tuple(exact[1:])))
             self.fit = exact[0].fit
 
-    def worth(self, score: Score) -> bool:
-        """Return whether an effect is significant and lowers the gap by the threshold."""
-        return score.p_value < self.policy.false_alarm and score.ratio <= 1 - self.setup.threshold
+    def worth(self, score: Score, beside: int) -> bool:
+        """Return whether an effect is significant and lowers the gap enough, and is needed `beside` others.
+
+        A first effect that is certain is selected above half the threshold: it may be worth more on the
+        holdout runs, which decide.
+        """
+        policy, certain = self.policy, score.p_value < self.policy.certain
+        level = self.setup.threshold * (policy.half if certain and not beside else 1.0)
+        return score.p_value < policy.false_alarm and score.ratio <= 1 - level
 
     def needed(self) -> bool:
         """Return whether the residual may hold another effect: it exceeds the floor, or that is unknown."""

@@ -288,11 +288,11 @@ def not_told_apart(policy: Policy) -> tuple[str, ...]:
 
 
 CHANGES: dict[str, tuple[float, Callable[[Policy], Any]]] = {
-    "false_alarm": (0.0, of_setup(lambda s: search(s).worth(SimpleNamespace(p_value=0.03, ratio=0.5)))),
+    "false_alarm": (0.0, of_setup(lambda s: search(s).worth(SimpleNamespace(p_value=0.03, ratio=0.5), 0))),
     "certain": (0.0, of_base(lambda base, runs: clear(residual_table(base, runs)))),
     "negligible": (1e6, of_setup(lambda setup: search(setup).needed())),
     "minor": (1.0, of_base(lambda base, runs: survey(base, runs).adc_step.any())),
-    "half": (1.0, lambda policy: unfounded(2.0, 1.4, 1.0, policy)),
+    "half": (1.0, of_setup(lambda s: search(s).worth(SimpleNamespace(p_value=0.0, ratio=0.97), 0))),
     "fewest": (100, of_base(lambda base, _: switched_runs(residual_table(base, base.log.runs)))),
     "fewest_units": (2, of_base(lambda base, runs: residual_table(base, runs).block.max())),
     "forgotten": (2.0, of_base(lambda base, runs: memory(survey(base, runs).autocorrelation, base.policy))),

@@ -288,13 +288,18 @@ def test_an_ellipse_longer_than_any_encoder_makes_is_claimed_with_its_scale(by, 
         "reading 20 samples off, run/stage31/3622.0",  # a third of the run
         "reference of 5 bits, run/chip/3622.0",  # a fifth of the values more than once
         "two references exchanged, run/halbach/3624.0",  # fields of a height that no float64 holds
-        "reading x 1000, log/homed/3625.0",  # an amplitude makes up for other factors
     ],
 )
-def test_a_mistake_that_its_samples_hardly_show_is_named(case):
+def test_a_mistake_of_one_run_that_its_samples_hardly_show_is_named(case):
     wrong = mistaken(*case.rsplit("/", 2))
     (claim,) = mistakes_of(wrong.recording.log, wrong.recording.built)
     assert claim.correction in wrong.right
+
+
+def test_of_scales_that_an_amplitude_makes_up_for_the_unit_is_named():
+    wrong = mistaken("reading x 1000, log", "homed", "3625.0")
+    (claim,) = mistakes_of(wrong.recording.log, wrong.recording.built)
+    assert claim.correction == "scale v_sin_v mv"
 
 
 def test_an_angle_in_volts_is_named_with_its_scale():
