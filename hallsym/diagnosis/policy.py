@@ -26,9 +26,9 @@ class Policy:
     and of the gap; of an excess, of the largest wave, of a noise floor. Below the 5 % that are worth
     reporting. A noise floor from 560 samples at rest is known to 3 %."""
     minor: float = 0.1
-    """Share up to which a part is minor: of the excess that named effects leave open, for no word on it; of
-    the threshold that a smaller finding is worth; by which a steady line scatters less than the rest of a
-    spectrum; of the error rate, for a test beside that by signs (by the noise)."""
+    """Share up to which a part is minor: of the excess that named effects leave open in a gap that is
+    explained; of the threshold that a smaller finding is worth; by which a steady line scatters less than the
+    rest of a spectrum; of the error rate, for a test beside that by signs (by the noise)."""
     half: float = 0.5
     """Part above which something is the larger one: of the threshold, for a first, certain effect to be
     taken up, and that a refit must keep of its score; of what a parameter alone makes, that the others
@@ -77,6 +77,8 @@ class Policy:
     rail_repeats: int = 4
     """Times that a channel must take its very highest or lowest value for that to be a rail. A turning
     point may fall on one step of the converter two or three times."""
+    most_refits: int = 6
+    """Effects refitted exactly in one step. Cost: a refit takes about five passes over the log."""
     starts: int = 3
     """Starts refitted of an effect whose numbers were searched on a grid. The score of one grid point,
     such as a rail, is a poor predictor of the result of a refit."""

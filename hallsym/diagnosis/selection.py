@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 
 from hallsym.diagnosis.facts import facts_of
+from hallsym.diagnosis.faults import faults
 from hallsym.diagnosis.normal_equations import entries, slopes_of
 from hallsym.diagnosis.p_values import memory
 from hallsym.diagnosis.policy import Policy
@@ -46,15 +47,16 @@ def refitted(
 
     Promising are those that explain nearly as much as the best one that is worth it, with a cross-validated
     decrease of the gap. An effect whose refit does not `stand`, or that reaches no plausible parameters from
-    any start, is left out. There are no further refits once the search is `over`; each effect is refitted
-    from at most `Policy.starts` starts. Refits of the screen are reused.
+    any start, is left out. There are no further refits once the search is `over`; at most
+    `Policy.most_refits` effects are refitted, each from at most `Policy.starts` starts. Refits of the screen
+    are reused.
     """
     policy, scored = base.policy, screen.scores
     # an effect goes by the best of its variants that are worth it: one with more numbers may be less certain
     named = [s for s in by_name(sorted(scored, key=lambda s: not worth(s))) if not s.absorbed]
     least = policy.half * max((s.gain for s in named if worth(s)), default=np.inf)
     out: list[Exact] = []
-    for first in [s for s in named if s.gain >= least and s.ratio < 1]:
+    for first in [s for s in named if s.gain >= least and s.ratio < 1][: policy.most_refits]:
         if over():
             break
         again = [s for s in scored if s.effect is first.effect and s.gain >= policy.half * first.gain]
@@ -126,8 +128,8 @@ def plain_pairs_first(
 
     An effect with many parameters may absorb small imperfections and so explain more than the plain cause.
     Then the plain cause and one of the imperfections together explain as much with no more parameters, and
-    the flexible effect with a second one explains hardly more than these two. This screens the catalogue once
-    for each plain effect, and not once the search is `over`.
+    the flexible effect with a second one explains hardly more than these two. This screens the catalogue at
+    most `Policy.most_refits` times, and not once the search is `over`.
     """
     if not exact:
         return exact
@@ -244,6 +246,8 @@ class Selection:
     not_testable: dict[str, str] = field(default_factory=dict)
     screened: list[Screen] = field(default_factory=list)
     last: list[Score] | None = None
+    of_values: float = 0.0
+    """Share of the gap due to the values of the readings, such as steps: no effect can remove it."""
     cut_short: bool = False
     """Whether the budget ended the search before it was done."""
     longest: float = 0.0
@@ -312,7 +316,7 @@ class Selection:
         """
         policy, certain = self.policy, score.p_value < self.policy.certain
         level = self.setup.threshold * (policy.half if certain and not beside else 1.0)
-        return score.p_value < policy.false_alarm and score.ratio <= 1 - level
+        return score.p_value < policy.false_alarm and max(score.ratio, np.sqrt(self.of_values)) <= 1 - level
 
     def needed(self) -> bool:
         """Return whether the residual may hold another effect: it exceeds the floor, or that is unknown."""
@@ -336,6 +340,8 @@ class Selection:
         self.setup.say(f"testing {len(self.setup.catalogue)} effects{beside}")
         found = survey(at.base, self.runs)
         facts = facts_of(at.base, found)
+        of_kind = faults(at.base, found, self.setup.tested)
+        self.of_values = sum(f.power for f in of_kind if f.record.of_values)
         tried, trouble = candidates(at.base, self.setup.catalogue, facts)
         screen = Screen(at.base, tried, self.runs)
         self.weigh(screen, found, remembers)
@@ -378,11 +384,15 @@ class Selection:
         screen.weigh(autocorrelation, remembers, peak, louder)
 
     def stands(self, exact: Exact, at: Refitted) -> bool:
-        """Return whether a refit lowers the gap by half the threshold, and its parameters do not cancel."""
+        """Return whether a refit keeps the decrease of its score, and its parameters do not cancel.
+
+        It must keep half of the threshold, and lower BIC.
+        """
         lower = exact.fit.metric <= at.metric * (1 - self.policy.half * self.setup.threshold)
         known = at.base.model.names
         new = [n for n in exact.fit.base.model.names if n not in known]
-        return lower and not cancels(exact.fit, new)
+        keeps = lower and exact.bic < at.bic(0)
+        return keeps and not cancels(exact.fit, new)
 
     def reconsider(self) -> bool:
         """Test each effect but the last, which was, with the others in place; return whether one is replaced.
@@ -395,7 +405,7 @@ class Selection:
                 break
             if exact := self.step(self.without(effect)):
                 self.effects[k] = replace(exact[0], rivals=tuple(exact[1:]))
-                self.fit = self.without()  # with the effects in their order, as the next command fits them
+                self.fit = exact[0].fit
         return [e.name for e in self.effects] != before
 
     def confirm(self) -> None:

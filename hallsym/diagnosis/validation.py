@@ -200,8 +200,9 @@ def validate(setup: Setup, selection: Selection) -> Validation:
     kept = survey(end, runs) if end.keep else whole
     found = [f for f in faults(end, whole, setup.tested) if cures(f) >= setup.threshold]
     rest = lack_of_fit(end, setup.runs)
-    if shaped(setup, rest):  # which may look like faulty samples here and there
-        found = [f for f in found if cures(f) >= max([rest.tones, *(s.drop for s in rest.shapes)])]
+    if shaped(setup, rest):  # which may look like late samples here and there
+        least = max([rest.tones, *(s.drop for s in rest.shapes)])
+        found = [f for f in found if f.name != "clock_jitter" and cures(f) >= least]
     cured = after
     if any(f.record.rare for f in found):
         fit = refit(replace(end, keep=without_tail(end)), setup.runs)
@@ -213,7 +214,7 @@ def validate(setup: Setup, selection: Selection) -> Validation:
         end=end,
         fit=fit,
         effects=effects,
-        judged=_judged(setup, selection, selection.start, selection.effects) if effects else None,
+        judged=_judged(setup, selection, selection.start) if effects else None,
         before=before,
         after=after,
         cured=cured,
@@ -243,19 +244,21 @@ def _error(left: Survey, values: float) -> float:
 def _holding(setup: Setup, selection: Selection, before: DecodedErrors) -> tuple[Validated, ...]:
     """Return the effects that hold; one whose interval of the shrinkage holds zero is dropped.
 
-    An effect that blames the reference is dropped too where it is `unfounded`.
+    One that is significant by the spectrum of the noise stays: if one run carries it, no other predicts it.
+    An effect that blames the reference does not, and is dropped too where it is `unfounded`.
     """
     while True:
         effects = tuple(_validated(setup, selection, e, before) for e in selection.effects)
         blame = [e for e in effects if e.blames]
-        weak = [(i[0], e.name) for e in effects if (i := e.judged.interval()) and i[0] <= 0]
+        shown = [e for e in effects if e.exact.score.p_by_noise >= setup.policy.false_alarm or e in blame]
+        weak = [(i[0], e.name) for e in shown if (i := e.judged.interval()) and i[0] <= 0]
         if blame and not weak:
             after = decoded_errors(selection.fit.base.on_all, setup.holdout).metric
             sizes = [(e.errors.metric, e.name) for e in blame]
             weak = [e for e in sizes if unfounded(e[0], after, setup.floor.metric, setup.policy)]
         if not weak:
             return effects
-        selection.drop(*(e.exact for e in effects if e.name == min(weak)[1]))
+        selection.drop(*(e.exact for e in shown if e.name == min(weak)[1]))
 
 
 def unfounded(without: float, after: float, floor: float, policy: Policy) -> bool:
@@ -271,24 +274,14 @@ def _validated(setup: Setup, selection: Selection, effect: Exact, before: Decode
     """Return an effect beside the fit without it."""
     without, alone = selection.without(effect), len(selection.effects) == 1
     errors = before if alone else decoded_errors(without.base.on_all, setup.holdout)
-    return Validated(effect, without, errors, _judged(setup, selection, without, [effect]))
+    return Validated(effect, without, errors, _judged(setup, selection, without))
 
 
-def _judged(setup: Setup, selection: Selection, without: Refitted, effects: Sequence[Exact]) -> Judged:
-    """Return all effects against the fit `without` these `effects`, cross-validated.
-
-    If one run carries an effect that the spectrum of the noise shows, no other run predicts it; without the
-    first or last run a drift is extrapolated. Where its interval holds zero, the holdout runs alone judge. An
-    effect that blames the reference must be predicted.
-    """
-
-    def against(groups: Sequence[frozenset[int]]) -> Judged:
-        after = cross_validated(selection.fit, groups, selection.others)
-        return Judged.of(cross_validated(without, groups), after, setup.policy)
-
-    judged, level = against(groups_of(setup.runs)), setup.policy.false_alarm
-    certain = any(e.score.p_by_noise < level and e.score.effect.link != REFERENCE for e in effects)
-    return against([]) if certain and (ends := judged.interval()) and ends[0] <= 0 else judged
+def _judged(setup: Setup, selection: Selection, without: Refitted) -> Judged:
+    """Return all effects against the fit `without` some, cross-validated."""
+    groups = groups_of(setup.runs)
+    after = cross_validated(selection.fit, groups, selection.others)
+    return Judged.of(cross_validated(without, groups), after, setup.policy)
 
 
 # -- faults of samples and the noise floor -----------------------------------------------------------------
@@ -329,31 +322,37 @@ QUIET = ("no gap", LARGER)
 def decide(setup: Setup, found: Validation, noise: ResidualNoise | None = None) -> Verdict:
     """Return "explained" if the named causes close the gap, "no gap" if there is neither cause nor gap.
 
-    Named causes must lower the gap by the threshold; without them a model that does not describe the log, by
-    the goodness of its fit, leaves a gap. A residual that is a gap by itself (`remains`) makes the verdict
-    "unexplained", unless the causes leave less than the noise (estimates from few runs are off), or the
-    excess is `noise` (of the model with the found effects): then nothing remains to explain, and without a
-    cause the noise is larger than stated.
+    Named causes must lower the gap by the threshold, or lower it and explain a run that differs from most
+    others: an error within a fitted run shows on no other. A residual that is a gap by itself (`remains`)
+    makes the verdict "unexplained", unless the causes close nearly all of the excess and what they leave is
+    less than the noise (estimates from few runs are off), or the excess is `noise` (of the model with the
+    found effects): then nothing remains to explain, and without a cause the noise is larger than stated.
     """
     before, after = found.before.metric, found.metric
-    named = found.named and 1 - after / before >= setup.threshold
-    amiss = not named and goodness_on_all(setup, found.start.base).material
+    named, amiss = found.named and 1 - after / before >= setup.threshold, False
+    if not named:
+        start = goodness_on_all(setup, found.start.base)
+        end = start if found.end is found.start.base else goodness_on_all(setup, found.end)
+        named = found.named and after < before and start.odd_run and not end.material
+        amiss = not named and (start.odd_run or end.material)
     base, metric = (found.base, after) if named else (found.start.base, before)
     rest = found.rest if base is found.end else lack_of_fit(base, setup.runs)
     loud = noise is not None and all_noise(setup, found, rest, metric, noise)
     gap = not loud and (amiss or remains(setup, found, rest, metric))
     if named:
         floor, policy = found.floor.metric, setup.policy
+        most = closed(before, after, floor) >= 1 - policy.minor
         small = after**2 - floor**2 <= policy.half * floor**2
-        return "explained" if small or not gap else "unexplained"
+        return "explained" if not gap or (most and small) else "unexplained"
     return "unexplained" if gap else LARGER if loud else "no gap"
 
 
 def goodness_on_all(setup: Setup, base: Base) -> GoodnessOfFit:
-    """Return the goodness of fit of `base` on fitted and holdout runs together.
+    """Return the goodness of fit of `base`, found effects included, on fitted and holdout runs together.
 
     An effect that changes the fit of some runs may be small on the holdout runs; redundant readings may have
-    a residual that moves no pose; and one run may disagree with all others, in either set.
+    a residual that moves no pose, caused by an effect below the threshold; and one run may disagree with all
+    others, in either set.
     """
     uncertain = setup.fit.goodness.uncertain if setup.fit.goodness else 1.0
     found = goodness_of(point_on(base, base.log.runs), len(base.free))

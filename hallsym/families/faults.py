@@ -67,7 +67,8 @@ class RecordingFault:
     """A fault that no effect can model. `remedy`: what to do instead.
 
     `inject(recording, draw)`: how it is injected, or why this recording cannot have it. `rare`: it concerns
-    few samples, which can be left out. `assignment`: the channels are assigned wrongly.
+    few samples, which can be left out. `of_values`: it shows in the values of the readings themselves, so its
+    error is known. `assignment`: the channels are assigned wrongly.
     """
 
     name: str
@@ -76,6 +77,7 @@ class RecordingFault:
     remedy: str
     inject: Inject
     rare: bool = False
+    of_values: bool = False
     assignment: bool = False
 
     @property
@@ -224,7 +226,8 @@ FAULTS = {
                        "use a finer range or converter; the fit counts step / sqrt(12) as noise.", _steps),
         RecordingFault("cordic_steps", "electronics", "an angle computed with few steps of CORDIC",
                        "let the chip take more steps, or take its raw voltages; an angle stands for a "
-                       "range of angles, so that no correction takes more than a few percent off.", _chip),
+                       "range of angles, so that no correction takes more than a few percent off.",
+                       _chip, of_values=True),
         RecordingFault("channel_swap", "electronics", "two channels exchanged", REWIRE,
                        _wired("exchange"), assignment=True),
         RecordingFault("sign_inversion", "electronics", "a channel of the other sign", REWIRE,
