@@ -416,9 +416,9 @@ class Columns:
     columns. `span`, `places`: as in `NormalEquations`. `pairs`: the columns, offsets not counted, of each
     product within a candidate. `channel`, `column`, `row`: of each slope, those of one channel together at
     `of_channel`, their rows at `rows_of`; `residual`: (K,) rows of the residual. `own`: the slopes (r,) of
-    each candidate, column by column. `touched`: columns of `near` with the channels that they touch. `most`:
-    samples whose columns are in memory at once. `spoiled`: candidates that were not finite somewhere; such
-    rows are 0 there.
+    each candidate, column by column. `within`: which slopes are of `near`, `place`: where there. `touched`:
+    columns of `near` with the channels that they touch. `most`: samples whose columns are in memory at once.
+    `spoiled`: candidates that were not finite somewhere; such rows are 0 there.
     """
 
     def __init__(
@@ -435,7 +435,7 @@ class Columns:
         self.models = (base.model, *(wide for wide, _ in tried.values()))
         self.z, self.n = len(base.model.offsets), len(base.free)
         widths = [len(new) for _, new in tried.values()]
-        self.ends = ends = np.cumsum([0, *widths])
+        ends = np.cumsum([0, *widths])
         self.count, own = int(ends[-1]), self.z + self.n
         self.size = own + self.count + 1
         self.span = {"": slice(0, self.n)}
